@@ -49,13 +49,13 @@ from ssm_study.robustness.record_errors import RecordErrors, open_loop_errors
 from ssm_study.signals import DataSet
 from ssm_study.synthesis import auto
 from ssm_study.synthesis.decay_response import simulate_decays
-from ssm_study.synthesis.measured_discs_choice import first_covering_design
+from ssm_study.synthesis.measured_discs_choice import choose_covering_design
 from ssm_study.synthesis.measured_discs_run import (
     add_coverage_certificate,
     coverage_columns,
+    coverage_needed_column,
     disc_weights,
-    fresh_data_column,
-    radii_needed_by_fresh_data,
+    relative_radii_for_further_data,
 )
 
 KEY = ("plant", "model", "order", "seed", "cover")
@@ -158,10 +158,10 @@ class IdentifiedCase:
                     certified.append(design)
                 return design
 
-            return first_covering_design(pairs, make_and_note, *others)
+            return choose_covering_design(pairs, make_and_note, *others)
 
         balls = certified_balls(self.model)
-        with patch.object(auto, "first_covering_design", prefer_and_note):
+        with patch.object(auto, "choose_covering_design", prefer_and_note):
             decays = simulate_decays(self.model, self.data.mismatch_records, self.data.validation)
             chosen: Design = (
                 synthesis.prefer_covered_designs(self.premise)
@@ -240,7 +240,7 @@ def row_of(task: RowTask) -> dict[str, Any]:
     designed = time.process_time()
     fresh = list(case.parts.data.simulate_fresh_sets(case.plant, task.seed))
     start_up = case.data.start_up_samples
-    needs = radii_needed_by_fresh_data(
+    needs = relative_radii_for_further_data(
         chosen, case.model, case.premise, case.mismatch, fresh, start_up
     )
     row: dict[str, Any] = dict(task.key)
@@ -249,7 +249,7 @@ def row_of(task: RowTask) -> dict[str, Any]:
         "rests": case.mismatch.plant_comes_to_rest,
         "fit_test": case.fit_percent,
     }
-    row |= coverage_columns(chosen, case.model, case.premise) | fresh_data_column(needs)
+    row |= coverage_columns(chosen, case.model, case.premise) | coverage_needed_column(needs)
     columns = case.columns(chosen)
     plain_columns = columns if have_same_gains(plain, chosen) else case.columns(plain)
     row |= columns | {f"plain_{name}": value for name, value in plain_columns.items()}

@@ -32,7 +32,7 @@ from ssm_study.synthesis.candidates import Candidates
 from ssm_study.synthesis.measured_discs_choice import LOST, LoopCoverage
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate
 from ssm_study.synthesis.sine_judgement import (
-    measure_simulated_sines,
+    measure_error_with_simulated_sines,
     sine_columns,
     sine_coverage_columns,
 )
@@ -76,7 +76,7 @@ class DrawnDesigns:
             return [0.0] * len(pairs)
         system = case.model.system
         balls = certified_balls(case.model)
-        loop = LoopCoverage.for_loop(case.model, system, balls, case.premise)
+        loop = LoopCoverage.from_model(case.model, system, balls, case.premise)
         coverages = []
         for pair in pairs:
             gains = self.candidates.gains(pair)
@@ -93,7 +93,7 @@ class DrawnDesigns:
         proved = add_coverage_certificate(design, model, balls, case.premise)
         coverage = reported_coverage(proved, model, case.premise)
         source = case.parts.data
-        sines = measure_simulated_sines(
+        sines = measure_error_with_simulated_sines(
             proved, model, balls, case.mismatch, source, case.plant, seed
         )
         judged = sine_columns(proved, model, balls, case.mismatch, sines)

@@ -39,7 +39,7 @@ def on_fast_modes(case: Instance) -> Problem:
     asked = LmiSynthesis(rate_controller=case.rate, rate_observer=0.5).problem(
         case.linear, case.ball
     )
-    r = asked.contraction
+    r = asked.contraction_factor
     modes = split_modes(asked.a, asked.b, r)
     if modes.fast_count == 0:
         raise NoSolution("no fast modes")

@@ -82,7 +82,7 @@ def contraction(found: list[tuple[str, StateFeedback]]) -> list[dict[str, object
         {
             "method": name,
             "rate": f"{p.rate:.6f}",
-            "certified": f"{p.contraction:.6f}",
+            "certified": f"{p.contraction_factor:.6f}",
             "measured": f"{measured(p):.6f}",
         }
         for name, p in found

@@ -158,7 +158,7 @@ def row(index: int) -> str | None:
     exact_s = time.process_time() - started
     worst = sampled(system, problem, proof, rng)
     ratio_cell = "" if np.isnan(ratio) else f"{ratio:.4f}"
-    factors = f"{np.sqrt(1 - best):.4f},{problem.contraction:.4f},{certified},{ratio_cell}"
+    factors = f"{np.sqrt(1 - best):.4f},{problem.contraction_factor:.4f},{certified},{ratio_cell}"
     times = f"{game_s:.5f},{cost_s:.5f},{deep_s:.5f},{exact_s:.5f}"
     return f"{index},{n},{q},{side},{ball},{h and observes},{factors},{worst:.6f},{times}"
 

@@ -66,8 +66,8 @@ def tasks(problem: Problem) -> dict[str, Callable[[], object]]:
     kappa = np.eye(1) / 4.0
 
     def smallest_gain() -> object:
-        modes = split_modes(problem.a, problem.b, problem.contraction)
-        return minimum_energy_gain(modes, ball, problem.contraction, widens_ball=False).k
+        modes = split_modes(problem.a, problem.b, problem.contraction_factor)
+        return minimum_energy_gain(modes, ball, problem.contraction_factor, widens_ball=False).k
 
     return {
         "paper_lmi_full": lambda: lmis[True].solve(problem),

@@ -250,7 +250,7 @@ MADE_AGAIN = (
     "ssm_study.study.design_claims.faster_response_column",
     "ssm_study.study.design_claims.measure_model_error",
     "ssm_study.study.design_claims.measure_error_spectra",
-    "ssm_study.study.design_claims.measure_simulated_sines",
+    "ssm_study.study.design_claims.measure_error_with_simulated_sines",
     "ssm_study.study.run_files.collect_findings",
     "ssm_study.study.run_files.measure_model_error",
     "ssm_study.synthesis.measured_discs_run.measure_error_spectra",

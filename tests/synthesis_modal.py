@@ -127,13 +127,13 @@ class ModalLmiSynthesis(Synthesis):
         require(condition, "synthesis.solver", self.solver, "unknown", advice)
 
     def solve(self, problem: Problem) -> Solution:
-        contraction = problem.contraction
+        contraction = problem.contraction_factor
         return solve_on_fast_modes(problem, contraction, self.objective, self.solver)
 
     def solution_attempts(
         self, problem: Problem, frontier: Frontier
     ) -> list[Callable[[], Solution]]:
-        r = problem.contraction
+        r = problem.contraction_factor
         solve = partial(solve_on_fast_modes, objective=self.objective, solver=self.solver)
         floor = max(frontier.contraction_limit, FASTEST * r)
         ratio = floor / r

@@ -212,7 +212,7 @@ def _design_for_system(
     overrides: tuple[str, ...],
 ) -> Design:
     """Design a controller for a linear system behind static maps with known slopes."""
-    from ssm_study.synthesis.deployed import add_largest_rates
+    from ssm_study.synthesis.deployed import add_largest_rate_certificates
 
     linear, step_s = read_linear_system(system)
     model = SSM.from_linear(linear, step_s)
@@ -230,7 +230,7 @@ def _design_for_system(
         balls = replace(balls, output=outer)
     synthesis = parts.build("synthesis")
     certificate = synthesis.design(model, balls)
-    certificate = add_largest_rates(replace_setting_names_in_advice(certificate))
+    certificate = add_largest_rate_certificates(replace_setting_names_in_advice(certificate))
     return Design(certificate=certificate, model=model, overrides=overrides)
 
 

@@ -29,7 +29,7 @@ from ssm_study.loop.regulation import IdentifiedPlant, Loop, has_direct_feedthro
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest, require
-from ssm_study.synthesis.deployed import WithinLimits, prove_within_input_limits
+from ssm_study.synthesis.deployed import RangeWithinLimits, prove_within_input_limits
 from ssm_study.synthesis.expected_response import faster_response_column
 from ssm_study.synthesis.loop_poles import eigenvalue_groups
 from ssm_study.synthesis.measured_discs_run import coverage_columns
@@ -193,7 +193,7 @@ class Design:
         gains = self.certificate.pair
         return eigenvalue_groups(self.model, gains)
 
-    def within_limits(self, lower: Values, upper: Values) -> WithinLimits:
+    def within_limits(self, lower: Values, upper: Values) -> RangeWithinLimits:
         """Proved properties of the closed loop while the input stays within given limits.
 
         Raises `BadRequest` for a model with neurons, about which nothing is proved within limits.

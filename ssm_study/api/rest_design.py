@@ -17,7 +17,10 @@ from ssm_study.api.arguments import Values
 from ssm_study.api.loops import tabulate_rollouts
 from ssm_study.api.summaries import PROVED, html_table, render_text_table
 from ssm_study.api.systems import read_folder, read_number
-from ssm_study.certificates.bilinear_certificates import RestCertificates, failed_rest_checks
+from ssm_study.certificates.bilinear_certificates import (
+    BilinearCertificates,
+    failed_bilinear_checks,
+)
 from ssm_study.certificates.certificate import certificate_digest
 from ssm_study.data.arrays import signal_array_and_names
 from ssm_study.export.bilinear_c import render_bilinear_c
@@ -53,7 +56,7 @@ class RestDesign:
     """
 
     model: Bilinear
-    certificates: RestCertificates
+    certificates: BilinearCertificates
     channels: tuple[Channel, ...]
 
     @property
@@ -174,12 +177,12 @@ class RestDesign:
         refuse_foreign_files(folder)
         model = model_from_json(read_json(folder / MODEL))
         content = read_json(folder / CERTIFICATE)
-        broken = failed_rest_checks(content, model)
+        broken = failed_bilinear_checks(content, model)
         remedy = "`ssm-study verify` names every claim"
         failures = "; ".join(broken)
         require(not broken, "design", folder, failures, remedy)
         channels = [Channel(name=name, unit=unit) for name, unit in read_json(folder / CHANNELS)]
-        certificates = RestCertificates.from_json(content)
+        certificates = BilinearCertificates.from_json(content)
         assert isinstance(model, Bilinear)  # the checks refuse others
         channel_tuple = tuple(channels)
         return cls(model=model, certificates=certificates, channels=channel_tuple)

@@ -20,7 +20,7 @@ DIMENSIONS = {"k": Float[np.ndarray, "m n"], "l_nodes": Float[np.ndarray, "q n p
 
 
 @dataclass(frozen=True, kw_only=True)
-class RestCertificates:
+class BilinearCertificates:
     """Gains of a bilinear model's controller and observer with their certificates, or the reasons
     why there are none.
 
@@ -52,7 +52,7 @@ class RestCertificates:
         return content
 
     @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> "RestCertificates":
+    def from_json(cls, content: Mapping[str, Any]) -> "BilinearCertificates":
         """Read the gains and certificates of a bilinear closed loop from the content of
         `certificate.json`. Raises `BadRequest` for a missing or malformed entry."""
         gains = {}
@@ -79,14 +79,14 @@ class RestCertificates:
         path.write_text(text + "\n", encoding="utf-8")
 
 
-def failed_rest_checks(content: Mapping[str, Any], model: Any) -> list[str]:
+def failed_bilinear_checks(content: Mapping[str, Any], model: Any) -> list[str]:
     """One sentence for each claim in a bilinear model's stored `certificate.json` that does not
     hold.
 
     Claims are each part's digest, the model's fields, the deployed gains, and `certified`.
     """
     try:
-        certificates = RestCertificates.from_json(content)
+        certificates = BilinearCertificates.from_json(content)
     except BadRequest as malformed:
         return [str(malformed)]
     ball = JacobianBall(alpha=1.0, beta=0.0)

@@ -54,7 +54,7 @@ class Side(Theorem, abstract=True):
     observes: ClassVar[bool]
 
     @property
-    def contraction(self) -> float:
+    def contraction_factor(self) -> float:
         """Contraction factor r: the certificate proves that distances shrink by r per sample."""
         return float(np.sqrt(1 - self.rate))
 

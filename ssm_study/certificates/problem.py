@@ -109,19 +109,19 @@ class Problem:
         )
 
     @property
-    def contraction(self) -> float:
+    def contraction_factor(self) -> float:
         """Contraction factor per sample, `sqrt(1 - rate)`."""
         return float(np.sqrt(1 - self.rate))
 
     @property
     def a_hat(self) -> Square:
         """State matrix divided by the contraction factor."""
-        return self.a / self.contraction
+        return self.a / self.contraction_factor
 
     @property
     def b_hat(self) -> InputMatrix:
         """Input matrix divided by the contraction factor."""
-        return self.b / self.contraction
+        return self.b / self.contraction_factor
 
     @property
     def required_neurons(self) -> Neurons:

@@ -44,19 +44,22 @@ SMALL_INTEGRAL_GRID = "synthesis.integral_weights=[0.001]"
 OPTIONS = {"plant": "plant", "scaffold": "scaffold@model.scaffold_in", "reduction": "reduction"}
 
 
-def runs_of_all_choices() -> list[tuple[str, ...]]:
+def commands_of_all_choices() -> list[tuple[str, ...]]:
     """Command-line words of one run for each choice of the configuration groups and each experiment
     of an extension package."""
     words: list[tuple[str, ...]] = []
     for group, option in OPTIONS.items():
         words += [(*QUICK, f"{option}={name}") for name in list_choices(group)]
-    words += [(*shorten_synthesis(name), f"synthesis={name}") for name in list_choices("synthesis")]
+    words += [
+        (*quick_synthesis_overrides(name), f"synthesis={name}")
+        for name in list_choices("synthesis")
+    ]
     for folder in extension_configuration_folders():
         words += [(f"experiment={path.stem}",) for path in folder.glob("experiment/*.yaml")]
     return words
 
 
-def shorten_synthesis(synthesis: str) -> tuple[str, ...]:
+def quick_synthesis_overrides(synthesis: str) -> tuple[str, ...]:
     """Command-line words that make a choice of `synthesis/` quick: small search grids, or no
     closed-loop trials."""
     texts = []
@@ -92,8 +95,10 @@ def shared_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return (base.parent if is_worker else base) / "every"
 
 
-@pytest.mark.parametrize("choice", runs_of_all_choices(), ids=lambda choice: choice[-1])
-def test_every_choice_runs_to_a_record(choice: tuple[str, ...], shared_results: Path) -> None:
+@pytest.mark.parametrize("choice", commands_of_all_choices(), ids=lambda choice: choice[-1])
+def test_every_choice_runs_to_a_results_table(
+    choice: tuple[str, ...], shared_results: Path
+) -> None:
     """Every choice of a configuration group runs from data to a finished table of results."""
     study = "".join(letter if letter.isalnum() else "_" for letter in choice[-1])
     tiny = TINY[choice[-1].startswith("experiment=") :]
@@ -111,7 +116,7 @@ def test_every_choice_runs_to_a_record(choice: tuple[str, ...], shared_results: 
             assert picture.stat().st_size > 0
 
 
-def test_no_choice_of_another_package_hides_behind_ours() -> None:
+def test_extension_packages_replace_no_choice() -> None:
     """No extension package has a yaml file or figure of the same name as one in this package."""
     ours, *others = configuration_folders()
     our_files = configuration_files(ours)

@@ -92,9 +92,9 @@ def distance_bound(
     bound[:, 0] = initial_distances
     for k in range(1, sample_count):
         previous_bound = bound[:, k - 1]
-        contracted = feedback.contraction * previous_bound
+        contracted = feedback.contraction_factor * previous_bound
         bound[:, k] = contracted + c * error
-        error = observer.contraction * error
+        error = observer.contraction_factor * error
     return bound
 
 
@@ -200,7 +200,7 @@ def relative_bound_excess(
     largest_gain = np.linalg.norm(error_to_state, 2)
     kappa = float(largest_gain)
     exponents = np.arange(samples)
-    decay = observer.contraction**exponents
+    decay = observer.contraction_factor**exponents
     fading_error = kappa * e * decay
     first_distances = d[:, 0]
     first_errors = e[:, 0]

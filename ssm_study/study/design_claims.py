@@ -42,19 +42,19 @@ from ssm_study.study.findings import (
     check_entries,
 )
 from ssm_study.study.run_files import RunFiles
-from ssm_study.synthesis.deployed import nearest_equilibrium_starts
+from ssm_study.synthesis.deployed import scaled_equilibrium_states
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.expected_response import faster_response_column
 from ssm_study.synthesis.measured_discs_run import (
     UNPROVED,
     add_coverage_certificate,
     coverage_columns,
-    fresh_data_column,
-    radii_needed_by_fresh_data,
+    coverage_needed_column,
+    relative_radii_for_further_data,
 )
 from ssm_study.synthesis.metrics import design_columns
 from ssm_study.synthesis.sine_judgement import (
-    measure_simulated_sines,
+    measure_error_with_simulated_sines,
     sine_columns,
     sine_coverage_columns,
 )
@@ -181,7 +181,7 @@ def check_unlimited_starts(run: RunFiles) -> Iterator[Checked]:
     model = run.model
     for part in run.design.extra_certificates.values():
         if isinstance(part, UnlimitedStart) and isinstance(model, SSM):
-            yield check_stored_starts(part, nearest_equilibrium_starts(model, part.starts))
+            yield check_stored_starts(part, scaled_equilibrium_states(model, part.starts))
 
 
 def check_stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None) -> Checked:
@@ -256,8 +256,8 @@ def recompute_fresh_data_column(
     assert specification.plant is not None
     start_up = run.simulated.validation.start_up_samples
     fresh = specification.data.simulate_fresh_sets(specification.plant, specification.seed)
-    return fresh_data_column(
-        radii_needed_by_fresh_data(run.design, run.model, premise, mismatch, fresh, start_up)
+    return coverage_needed_column(
+        relative_radii_for_further_data(run.design, run.model, premise, mismatch, fresh, start_up)
     )
 
 
@@ -270,7 +270,7 @@ def recompute_sine_columns(
     specification = run.specification
     if run.may_lack("sine_margin") or not specification.has_sine_trials:
         return {}
-    sines = measure_simulated_sines(
+    sines = measure_error_with_simulated_sines(
         run.design,
         run.model,
         balls,

@@ -4,7 +4,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ssm_study.api.rest_design import CERTIFICATE, CHANNELS, MODEL, foreign_files, read_json
-from ssm_study.certificates.bilinear_certificates import RestCertificates, failed_rest_checks
+from ssm_study.certificates.bilinear_certificates import (
+    BilinearCertificates,
+    failed_bilinear_checks,
+)
 from ssm_study.models.bilinear import Bilinear
 from ssm_study.models.stored import model_from_json
 from ssm_study.refusal import BadRequest
@@ -27,10 +30,10 @@ def check_rest_design(folder: Path) -> Iterator[Checked]:
     if not isinstance(model, Bilinear):
         yield Checked(claim=MODEL, holds=False, found="has no products of input and state")
         return
-    broken = failed_rest_checks(content, model)
+    broken = failed_bilinear_checks(content, model)
     for sentence in broken:
         yield Checked(claim=CERTIFICATE, holds=False, found=sentence)
     if not broken:
-        for label, part in RestCertificates.from_json(content).parts.items():
+        for label, part in BilinearCertificates.from_json(content).parts.items():
             verdict = "certified" if part.certified else "not certified"
             yield Checked(claim=f"certificate.{label}", holds=True, found=verdict)

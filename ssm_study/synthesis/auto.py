@@ -29,7 +29,7 @@ from ssm_study.synthesis.covered_gains import GainSearch
 from ssm_study.synthesis.decay_response import NO_DECAYS
 from ssm_study.synthesis.design import Synthesis, require_contraction_rate
 from ssm_study.synthesis.expected_response import ATTEMPTS, FASTER, ExpectedResponse, RankedPair
-from ssm_study.synthesis.measured_discs_choice import Search, first_covering_design
+from ssm_study.synthesis.measured_discs_choice import Search, choose_covering_design
 from ssm_study.synthesis.measured_discs_run import seeks_coverage
 from ssm_study.systems import Balls
 
@@ -163,8 +163,8 @@ class Auto:
             pairs = islice(pairs, ATTEMPTS)
         search = None
         if self.premise is not None:
-            search = self._make_covered_gains_search(response, self.premise, validation)
-        chosen, status = first_covering_design(
+            search = self._make_covered_design_search(response, self.premise, validation)
+        chosen, status = choose_covering_design(
             pairs, make.certified_stable_design, model, balls, self.premise, self.cover, search
         )
         if chosen is not None:
@@ -172,7 +172,7 @@ class Auto:
             return self._with_search_outcome(chosen, status)
         return self._largest_margin_design(model, balls, candidates, peaks)
 
-    def _make_covered_gains_search(
+    def _make_covered_design_search(
         self, response: ExpectedResponse, premise: ModelErrorSpectra, validation: Trajectories
     ) -> Search:
         """Make the function that searches near a design's gains for gains whose certificate covers
@@ -195,7 +195,7 @@ class Auto:
         unasked = SLOWER_WITH_NEURONS if has_neurons else SLOWER
         slower = SLOWER_ASKED if is_asked else unasked
 
-        def search_covered_gains(
+        def search_covered_design(
             first_design: Design, best_covered_design: Design, target_coverage: float
         ) -> Design | None:
             """Search near the gains of one design for gains whose certificate holds for the
@@ -204,7 +204,7 @@ class Auto:
             largest_area = min(slower * first_area, FASTER)
             return search.improve_design(best_covered_design, target_coverage, rounds, largest_area)
 
-        return search_covered_gains
+        return search_covered_design
 
     def _largest_margin_design(
         self, model: Model, balls: Balls, candidates: Candidates, peaks: Float[np.ndarray, "C O"]
@@ -256,7 +256,7 @@ class Auto:
         least: Any = {
             name: LEAST_RATE if rate == "auto" else float(rate) for name, rate in rates.items()
         }
-        specifications = grid.specifications()
+        specifications = grid.riccati_settings()
         return replace(specifications[0], **least).design(model, balls)
 
     def _with_search_outcome(self, design: Design, status: str) -> Design:

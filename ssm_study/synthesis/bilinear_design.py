@@ -15,7 +15,7 @@ import cvxpy as cp
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.certificates.bilinear_certificates import RestCertificates
+from ssm_study.certificates.bilinear_certificates import BilinearCertificates
 from ssm_study.certificates.problem import NoSolution
 from ssm_study.certificates.theorem import Theorem
 from ssm_study.certificates.theorems.bilinear_contraction import BilinearContraction
@@ -54,7 +54,7 @@ class BilinearSynthesis:
         require_positive("input_weight", self.input_weight, "try 1")
         require_positive("sensor_noise", self.sensor_noise, "try 0.05")
 
-    def design(self, model: Bilinear) -> RestCertificates:
+    def design(self, model: Bilinear) -> BilinearCertificates:
         """Design controller and observer of a bilinear model, and certify their closed loop."""
         try:
             k = feedback_gain(model, self.input_weight)
@@ -65,7 +65,9 @@ class BilinearSynthesis:
             output_count = len(model.c)
             gains = np.zeros((node_count, model.order, output_count))
             failure_text = str(failure)
-            return RestCertificates(k=k, l_nodes=gains, parts={}, reasons={"gains": failure_text})
+            return BilinearCertificates(
+                k=k, l_nodes=gains, parts={}, reasons={"gains": failure_text}
+            )
         loop = LoopVertices(model=model, k=k, gains=gains)
         parts: dict[str, Theorem] = {}
         reasons: dict[str, str] = {}
@@ -79,7 +81,7 @@ class BilinearSynthesis:
                 parts[label] = certify(loop)
             except NoSolution as failure:
                 reasons[label] = str(failure)
-        return RestCertificates(k=k, l_nodes=gains, parts=parts, reasons=reasons)
+        return BilinearCertificates(k=k, l_nodes=gains, parts=parts, reasons=reasons)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,7 +127,7 @@ class LoopVertices:
         return contraction_metric(self.closed_loop_matrices, self.smallest_allowed_metric, reason)
 
     @cached_property
-    def uncontrolled_metric(self) -> Matrix:
+    def metric_with_and_without_feedback(self) -> Matrix:
         """Metric in which the state contracts with and without the state feedback."""
         reason = "the model without control is not shown to come to rest at all input levels"
         uncontrolled = self.model.a
@@ -272,7 +274,7 @@ def certify_loop_from_any_state(loop: LoopVertices) -> BilinearEverywhere:
     """Certificate that the closed loop of a bilinear model with a limited input comes to rest from
     every initial state."""
     started = time.perf_counter()
-    p = loop.uncontrolled_metric
+    p = loop.metric_with_and_without_feedback
     numbers = model_and_feedback_fields(loop, p)
     state_matrices = loop.model.a
     uncontrolled = largest_norm_ratio([*state_matrices], p)

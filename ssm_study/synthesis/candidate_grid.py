@@ -28,7 +28,7 @@ INTEGRAL_WEIGHTS = (1e-5, 1e-4, 1e-3, 1e-2)  # of an internal model's states, wh
 HALF_SLOPE = 0.5
 
 
-class SolvedSide(NamedTuple):
+class SideCandidates(NamedTuple):
     """Candidate gains of the controller, or of the observer, and the number of rates and weights
     without a solution."""
 
@@ -50,7 +50,7 @@ class CandidateGrid:
     integral_weights: Sequence[float]
     modes: tuple[str, ...]
 
-    def specifications(self) -> list[RiccatiSynthesis]:
+    def riccati_settings(self) -> list[RiccatiSynthesis]:
         """Settings of the Riccati syntheses of the grid, one for each weight of the internal model
         (integral action)."""
         weights: Sequence[float] = INTEGRAL_WEIGHTS[:1]
@@ -73,7 +73,7 @@ class CandidateGrid:
         if any(abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output)):
             return None
         rest = equilibrium_slopes(model)
-        specifications = self.specifications()
+        specifications = self.riccati_settings()
         first = specifications[0]
         observers, unsolved = self.solve_gains(first, model.system, balls.output, True, rest)
         controllers: list[GainCandidate] = []
@@ -119,7 +119,7 @@ class CandidateGrid:
         ball: JacobianBall,
         is_observer: bool,
         slopes_at_equilibrium: Slopes | None = None,
-    ) -> SolvedSide:
+    ) -> SideCandidates:
         """Candidate gains of the controller, or of the observer, at all rates and weights of the
         grid, the slowest rate first.
 
@@ -155,7 +155,7 @@ class CandidateGrid:
                 specification, system, ball, is_observer, slopes_at_equilibrium, slowest
             )
         slowest_first = candidates[::-1]
-        return SolvedSide(slowest_first, unsolved)
+        return SideCandidates(slowest_first, unsolved)
 
     def _rates_below_limit(
         self, specification: RiccatiSynthesis, system: System, ball: JacobianBall, is_observer: bool

@@ -29,7 +29,7 @@ from ssm_study.synthesis.decay_response import NO_DECAYS, largest_settling_time_
 from ssm_study.synthesis.deployed import certificate_at_largest_rate
 from ssm_study.synthesis.expected_response import FASTER
 from ssm_study.synthesis.integrated_error import relative_response_areas
-from ssm_study.synthesis.measured_discs_choice import LoopCoverage, usual_proof_loss
+from ssm_study.synthesis.measured_discs_choice import LoopCoverage, usual_overestimation_factor
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
 from ssm_study.systems import Balls, Gains
 
@@ -93,7 +93,7 @@ class GainSearch:
         A proof keeps a little less than its frequencies promise: where it keeps too little, the
         search goes on for as much more.
         """
-        wanted_coverage = usual_proof_loss(self.model) * target_coverage
+        wanted_coverage = usual_overestimation_factor(self.model) * target_coverage
         certificates = 1 if self.is_brief else CERTIFICATES
         for _ in range(certificates):
             best = self.search_best_gains(start_design, wanted_coverage, rounds, largest_area)
@@ -128,7 +128,7 @@ class GainSearch:
         feedback = start_design.state_feedback
         assert isinstance(feedback, StateFeedback)
         controlled = controlled_system(self.model, feedback)
-        loop = LoopCoverage.for_loop(self.model, controlled, self.balls, self.premise)
+        loop = LoopCoverage.from_model(self.model, controlled, self.balls, self.premise)
         start_gains = gain_matrices_by_symbol(start_design.pair)
         coverage, centre = loop.largest_disc_radius(start_gains)
         area = self.response_area(start_design.pair)
@@ -156,7 +156,8 @@ class GainSearch:
     def _needs_another_round(
         self, coverages: Sequence[float], target_coverage: float, rounds: int
     ) -> bool:
-        """Whether a random search continues, given the best coverage after each round so far."""
+        """Whether a random search continues, given the best coverage (ratio of tolerated to
+        recorded model error) after each round."""
         if self.is_brief:
             return len(coverages) <= rounds and coverages[-1] < target_coverage
         return is_worth_another_round(coverages, target_coverage, rounds)
@@ -244,8 +245,8 @@ class GainSearch:
 
 
 def is_worth_another_round(coverages: Sequence[float], target_coverage: float, rounds: int) -> bool:
-    """Whether a further round of a random search is worthwhile, given the best coverage after each
-    round.
+    """Whether a random search for gains is worth a further round, given the best coverage (ratio of
+    tolerated to recorded model error) after each round.
 
     The first `rounds` always do. Beyond them the search must earn its time: at the pace of the last
     `rounds`, as many again would reach the target.
@@ -272,15 +273,15 @@ def certify_replaced_gains(certificate: Any, **gains: Any) -> Any:
 def scale_gains_at_random(gains: Gains, step: float, random: np.random.Generator) -> Gains:
     """Multiply every entry of given controller and observer gains by its own random factor."""
 
-    def scale_matrix(matrix: Any) -> Any:
+    def scale_entries_at_random(matrix: Any) -> Any:
         """Multiply every entry of a matrix by its own random factor."""
         normal_draws = random.standard_normal(matrix.shape)
         factors = np.exp(step * normal_draws)
         return matrix * factors
 
-    l_z = None if gains.l_z is None else scale_matrix(gains.l_z)
-    k = scale_matrix(gains.k)
-    l_of_plant = scale_matrix(gains.l)
+    l_z = None if gains.l_z is None else scale_entries_at_random(gains.l_z)
+    k = scale_entries_at_random(gains.k)
+    l_of_plant = scale_entries_at_random(gains.l)
     return replace(gains, k=k, l=l_of_plant, l_z=l_z)
 
 

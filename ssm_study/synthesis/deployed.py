@@ -51,7 +51,7 @@ def add_gain_certificates(
     exact arithmetic. They are largest rates, tolerance, and the effect of physical input `limits`.
     """
     bare_design = replace(design, extra_certificates={})
-    design = add_largest_rates(bare_design)
+    design = add_largest_rate_certificates(bare_design)
     tolerance = tolerance_certificate(design, model, balls)
     extra = dict(design.extra_certificates)
     if tolerance is not None:
@@ -59,11 +59,11 @@ def add_gain_certificates(
     design = replace(design, extra_certificates=extra)
     if limits is None:
         return design
-    limited = certify_input_limits(model, design, *limits)
+    limited = certify_under_input_limits(model, design, *limits)
     return replace(design, extra_certificates=extra | limited)
 
 
-def add_largest_rates(design: Design) -> Design:
+def add_largest_rate_certificates(design: Design) -> Design:
     """Add to a design certificates of the largest contraction rates that can be proved for its
     gains, each decided in exact arithmetic."""
     certificates = dict(design.extra_certificates)
@@ -114,7 +114,7 @@ def certificate_at_largest_rate(certificate: Side) -> Side | None:
     return deployed_rate.certificate_at_largest_rate(certificate)
 
 
-def certify_input_limits(
+def certify_under_input_limits(
     model: Model, design: Design, lower: Inputs, upper: Inputs
 ) -> dict[str, Any]:
     """Certificates, keyed by name, of what a design's gains achieve when the input is limited.
@@ -177,7 +177,7 @@ def equilibrium_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
     return corners
 
 
-def nearest_equilibrium_starts(
+def scaled_equilibrium_states(
     model: SSM, stored_starts: Float[np.ndarray, "s j"]
 ) -> Float[np.ndarray, "s j"] | None:
     """Equilibrium states of a model, scaled to the size of a certificate's initial states; None if
@@ -196,7 +196,7 @@ def nearest_equilibrium_starts(
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class WithinLimits:
+class RangeWithinLimits:
     """Range of initial outputs from which a closed loop is proved never to reach its input limits.
     `everywhere` is the proof with inputs cut at the limits, or None."""
 
@@ -211,7 +211,7 @@ class WithinLimits:
         if self.everywhere is not None:
             rate = f"at rate {math.floor(1e4 * self.everywhere.rate) / 1e4:g} per sample"
         lines = (
-            "WithinLimits",
+            "RangeWithinLimits",
             f"  at the full rate  from equilibria with outputs from {lower} to {upper}",
             f"  globally          {rate}, inputs cut at the limits",
         )
@@ -220,13 +220,13 @@ class WithinLimits:
     @classmethod
     def from_certificate(
         cls, model: Model, certificates: Mapping[str, Any]
-    ) -> "WithinLimits | None":
+    ) -> "RangeWithinLimits | None":
         """Range of initial outputs from which stored certificates prove that no input limit is
         reached; None if no such range is certified."""
         if SETS not in certificates or not isinstance(model, SSM):
             return None
         stored_starts = certificates[SETS].starts
-        starts = nearest_equilibrium_starts(model, stored_starts)
+        starts = scaled_equilibrium_states(model, stored_starts)
         if starts is None:
             return None
         low, high = output_range(model, starts)
@@ -236,7 +236,7 @@ class WithinLimits:
 
 def prove_within_input_limits(
     model: SSM, design: Design, lower: Inputs, upper: Inputs
-) -> WithinLimits:
+) -> RangeWithinLimits:
     """Prove what a design achieves while its input stays within given physical limits. Raises
     `BadRequest` if nothing can be proved."""
     design.parts()
@@ -248,8 +248,8 @@ def prove_within_input_limits(
     remedy = "widen them or choose another operating point"
     holds_rest = (lower < rest) & (rest < upper)
     require(holds_rest.all(), "input limits", limits, problem, remedy)
-    certificates = certify_input_limits(model, design, lower, upper)
-    proof = WithinLimits.from_certificate(model, certificates)
+    certificates = certify_under_input_limits(model, design, lower, upper)
+    proof = RangeWithinLimits.from_certificate(model, certificates)
     if proof is None:
         raise BadRequest(
             "input limits", limits, "nothing is proved within them", "request smaller rates"

@@ -69,8 +69,9 @@ class DesignAttempt:
 
     @property
     def has_exact_rate_limit(self) -> bool:
-        """Whether the exact rate limit of this design attempt's theorem is known. It is for the
-        paper's inequalities; the theorem of another package may reach further."""
+        """Whether the largest contraction rate that a design attempt's theorem can prove is known
+        exactly. It is for the paper's inequalities; the theorem of another package may reach
+        further."""
         return issubclass(self.theorem, ProblemCertificate)
 
     def infeasible_beyond_limit(self) -> Infeasible | None:
@@ -87,9 +88,9 @@ class DesignAttempt:
                 "raise the slope floor (model.slope_lower) or use a scaffolding with slopes "
                 "bounded by construction"
             )
-            return self.without_certificate(reason, "not asked", proved=True)
+            return self.infeasible_result(reason, "not asked", proved=True)
         if self.rate >= limit:
-            return self.without_certificate(self._excess_rate_text(), "not asked", proved=True)
+            return self.infeasible_result(self._excess_rate_text(), "not asked", proved=True)
         return None
 
     def _excess_rate_text(self) -> str:
@@ -116,7 +117,7 @@ class DesignAttempt:
         remedy = ", ".join(["request a smaller rate", *other_remedies])
         return f"{sentence} only rates below {limit:.6g}; {remedy} or {remedies[-1]}"
 
-    def without_certificate(self, reason: str, status: str, proved: bool = False) -> Infeasible:
+    def infeasible_result(self, reason: str, status: str, proved: bool = False) -> Infeasible:
         """Infeasible result of a design attempt that gave no certificate, with the reason."""
         theorem = self.theorem.name()
         rate_limit = self.frontier.rate_limit
@@ -167,7 +168,7 @@ class DesignAttempt:
                 f"{inside}{self.method} found no certificate ({status}); try synthesis=riccati "
                 "or a lower rate"
             )
-            return self.without_certificate(reason, status)
+            return self.infeasible_result(reason, status)
         fewer = "drop states (reduction.truncate_to) or " * (best.condition > ILL)
         number = f"{best.condition:.1e}; {fewer}request a smaller rate"
         if best.condition > MOST_CONDITION:
@@ -175,7 +176,7 @@ class DesignAttempt:
                 f"{inside}its metric needs more digits than floats have: its condition number "
                 f"is {number}"
             )
-            return self.without_certificate(reason, best.solver_status)
+            return self.infeasible_result(reason, best.solver_status)
         told = f"not positive definite in exact arithmetic, condition number {number}"
         return replace(best, solver_status=f"{best.solver_status}; {told}")
 
@@ -204,7 +205,7 @@ def failed_checks(
         and fields.get("digest") != certificate_digest(fields)
     ]
     for label, part in design.certificates_by_name.items():
-        claims = _failed_checks_of_part(part, context)
+        claims = _failed_checks_of_certificate(part, context)
         broken += [f"{label}{claim}" for claim in claims]
     for (
         label,
@@ -223,7 +224,9 @@ def failed_checks(
     return broken
 
 
-def _failed_checks_of_part(part: Theorem | Infeasible, context: VerificationContext) -> list[str]:
+def _failed_checks_of_certificate(
+    part: Theorem | Infeasible, context: VerificationContext
+) -> list[str]:
     """One sentence for each claim of one certificate that does not hold for the model."""
     theorem = find_theorem(part.theorem) if isinstance(part, Infeasible) else type(part)
     ball = theorem.required_ball(context)
@@ -382,7 +385,7 @@ class Synthesis(ABC):
     ) -> list[Callable[[], Solution]]:
         """Functions that solve a synthesis problem at the requested contraction rate and at larger
         rates, which leave more margin."""
-        r = problem.contraction
-        floor = max(frontier.contraction_limit, REPAIR_FLOOR * problem.contraction)
+        r = problem.contraction_factor
+        floor = max(frontier.contraction_limit, REPAIR_FLOOR * problem.contraction_factor)
         rates = [problem.rate, *(1 - (r * (floor / r) ** share) ** 2 for share in REPAIRS)]
         return [partial(self.solve, problem.at_rate(rate)) for rate in rates]

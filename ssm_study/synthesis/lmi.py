@@ -195,4 +195,4 @@ def certificate_from_paper_lmi(
         solution = method.solve(problem)
         return attempt.certify_solution(problem, solution)
     except (NoSolution, BadRequest) as error:
-        return attempt.without_certificate("the solver returned no matrices", str(error))
+        return attempt.infeasible_result("the solver returned no matrices", str(error))

@@ -41,7 +41,7 @@ Make = Callable[[Any], Design | None]
 Search = Callable[[Design, Design, float], Design | None]
 
 
-def first_covering_design(
+def choose_covering_design(
     pairs: Iterator[Any],
     make_design: Make,
     model: Model,
@@ -50,9 +50,9 @@ def first_covering_design(
     requested_coverage: float | None,
     search: Search | None = None,
 ) -> tuple[Design | None, str]:
-    """First design that tolerates the recorded model error, or else the best substitute, and a text
-    that says which of them it is. Substitutes are the result of a search around the design that
-    covers most, then the first that is covered at all, then the first.
+    """First design that tolerates the recorded model error, or else the best design that does not,
+    and a text that says which of them it is. Substitutes are the result of a search around the
+    design that covers most, then the first that is covered at all, then the first.
 
     `search(first, most, cover)` is given the first design, the one that covers most, and the
     coverage wanted of its certificate. With neurons, where one look takes a second, fewer pairs
@@ -62,9 +62,9 @@ def first_covering_design(
     places: tuple[int, ...] = LOOKED_AT
     if isinstance(model.system, StructuredSystem):
         places = WITH_NEURONS if requested_coverage is None else WITH_NEURONS + FARTHER
-    lost = usual_proof_loss(model)
+    lost = usual_overestimation_factor(model)
     target = lost * (1.0 if requested_coverage is None else requested_coverage)
-    walk = GridWalk(
+    walk = GainPairSearch(
         pairs=iter(enumerate(pairs)), make=make_design, places=places, lost=lost, target=target
     )
     first = walk.first_design()
@@ -76,35 +76,35 @@ def first_covering_design(
 
     deciding: dict[float, Any] = {}
 
-    def coverage_of(design: Design, least_coverage: float) -> float:
+    def compute_coverage(design: Design, least_coverage: float) -> float:
         """Coverage of one design (ratio of tolerated to recorded model error), computed frequency
         by frequency."""
-        return coverage_by_frequency(
+        return tolerated_disc_radius(
             design, model, balls, premise, target, least_coverage, deciding
         )
 
-    covered = walk.first_covered_design(coverage_of, NEAR)
+    covered = walk.first_covered_design(compute_coverage, NEAR)
     if covered is not None:
         return covered, COVERED
     wanted_coverage = target / lost
     substitute = walk.search_near_best_design(search, wanted_coverage)
     if substitute is not None:
         return substitute, SEARCHED
-    covered = walk.first_covered_design(coverage_of, walk.places[-1])
+    covered = walk.first_covered_design(compute_coverage, walk.places[-1])
     if covered is None:
-        return walk.best_substitute()
+        return walk.best_design_below_target()
     substitute = walk.search_near_best_design(search, wanted_coverage)
     return (covered, COVERED) if substitute is None else (substitute, SEARCHED)
 
 
-def usual_proof_loss(model: Model) -> float:
+def usual_overestimation_factor(model: Model) -> float:
     """Usual upper bound on the ratio of the coverage computed frequency by frequency to the
     coverage that is then proved."""
     return LOST_WITH_NEURONS if isinstance(model.system, StructuredSystem) else LOST
 
 
 @dataclass(kw_only=True)
-class GridWalk:
+class GainPairSearch:
     """Search through pairs of controller and observer gains, fastest response first, for one that
     tolerates the recorded model error.
 
@@ -136,12 +136,12 @@ class GridWalk:
         return None
 
     def first_covered_design(
-        self, coverage_of: Callable[[Design, float], float], last_place: int
+        self, compute_coverage: Callable[[Design, float], float], last_place: int
     ) -> Design | None:
         """First design in a search that tolerates the target multiple of the recorded model error;
         None if no design up to a given index does."""
         for design in self._examined_designs(last_place):
-            coverage = coverage_of(design, self.largest)
+            coverage = compute_coverage(design, self.largest)
             self._add_design(design, coverage)
             if coverage >= self.target:
                 return design
@@ -171,7 +171,7 @@ class GridWalk:
             self.most = design
             self.largest = coverage
 
-    def best_substitute(self) -> tuple[Design | None, str]:
+    def best_design_below_target(self) -> tuple[Design | None, str]:
         """Best design of a search in which none tolerates the required model error, and a text that
         says what is proved for it."""
         if self.barely is not None:
@@ -199,7 +199,7 @@ class LoopCoverage:
     deciding: dict[float, Float[np.ndarray, "D"]]
 
     @classmethod
-    def for_loop(
+    def from_model(
         cls,
         model: Model,
         controlled_system: Any,
@@ -276,7 +276,7 @@ class LoopCoverage:
         return best
 
 
-def coverage_by_frequency(
+def tolerated_disc_radius(
     design: Design,
     model: Model,
     balls: Balls,
@@ -291,5 +291,5 @@ def coverage_by_frequency(
     feedback = design.state_feedback
     assert isinstance(feedback, StateFeedback)
     system = controlled_system(model, feedback)
-    loop = LoopCoverage.for_loop(model, system, balls, premise, deciding_angles)
+    loop = LoopCoverage.from_model(model, system, balls, premise, deciding_angles)
     return loop.largest_disc_radius(design.gains, sufficient_radius, least_radius)[0]

@@ -259,7 +259,7 @@ def _real_upper_triangles(hermitian: HermitianForms) -> Float[np.ndarray, "n t"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class AngleProgram:
+class FrequencyProgram:
     """Linear program with matrix constraints that must hold at every frequency of a grid."""
 
     constant: FormsOverAngles
@@ -317,7 +317,8 @@ def _spread_indices(item_count: int, chosen_count: int) -> list[int]:
 
 
 def _local_minima(values: Angles, threshold: float) -> list[int]:
-    """Indices of the local minima of a sequence below a threshold, the smallest first."""
+    """Indices of those local minima of a sequence that lie below a threshold, in ascending order of
+    value."""
     padded = np.concatenate([[np.inf], values, [np.inf]])
     no_larger_than_left = values <= padded[:-2]
     no_larger_than_right = values <= padded[2:]
@@ -327,7 +328,7 @@ def _local_minima(values: Angles, threshold: float) -> list[int]:
     return [int(k) for k in minima[smallest_first]]
 
 
-def form_sizes(forms: Complex[np.ndarray, "A F G G"]) -> Float[np.ndarray, "A"]:
+def form_norms(forms: Complex[np.ndarray, "A F G G"]) -> Float[np.ndarray, "A"]:
     """Norm of each quadratic form, by which the form's multiplier is scaled."""
     largest_entries = np.abs(forms).max(axis=(1, 2, 3))
     return np.asarray(np.maximum(largest_entries, np.finfo(float).tiny))

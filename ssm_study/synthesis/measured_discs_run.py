@@ -112,7 +112,7 @@ def coverage_columns(
     coverage = part.kappa / need
     facts: dict[str, Any] = {"coverage": coverage, "coverage_reference": where}
     if part.kappa < need:
-        facts |= null_coverage_of_unknown_band(part.kappa, weights, items)
+        facts |= unknown_coverage_columns(part.kappa, weights, items)
     if fresh_premise is not None and fresh_premise.insufficient_records_reason(part.centre) is None:
         facts["coverage_needed"] = (
             weights.largest_required_radius(fresh_premise.requirements(part.centre))[0] / need
@@ -135,7 +135,7 @@ class MismatchRecords(Protocol):
         ...
 
 
-def radii_needed_by_fresh_data(
+def relative_radii_for_further_data(
     design: Design,
     model: Model,
     premise: ModelErrorSpectra,
@@ -162,13 +162,13 @@ def radii_needed_by_fresh_data(
     return needs
 
 
-def fresh_data_column(required_radii: Sequence[float]) -> dict[str, Any]:
+def coverage_needed_column(required_radii: Sequence[float]) -> dict[str, Any]:
     """Table column with the largest ratio of model error in new data sets, which no training used,
     to the recorded one."""
     return {"coverage_needed": max(required_radii)} if required_radii else {}
 
 
-def null_coverage_of_unknown_band(
+def unknown_coverage_columns(
     kappa: float, weights: DiscWeights, requirements: Sequence[DiscRequirement]
 ) -> dict[str, Any]:
     """Table columns that leave the coverage empty and name the frequency band in which the input

@@ -25,10 +25,10 @@ from ssm_study.synthesis.measured_discs_metric import first_exact_certificate
 from ssm_study.synthesis.measured_discs_program import (
     MOST,
     VIOLATED,
-    AngleProgram,
     FormsAtAngles,
+    FrequencyProgram,
     LoopForms,
-    form_sizes,
+    form_norms,
 )
 from ssm_study.synthesis.measured_discs_weights import (
     LARGEST,
@@ -55,7 +55,7 @@ FARTHEST = 30.0  # of a multiplier, over that of the optimum: one that costs not
 
 
 @dataclass(frozen=True, kw_only=True)
-class Coverage:
+class CoverageResult:
     """Certificate against model errors with its coverage (ratio of proved to recorded model error),
     or the reason why there is none."""
 
@@ -143,14 +143,14 @@ def _largest_squared_radius(
         lowest = program.smallest_eigenvalues(x)
         tightest = np.argsort(lowest)[:4]
         deciding = grid.angles[tightest]
-        finer = refined_angles(deciding, grid.angles)
+        finer = additional_grid_frequencies(deciding, grid.angles)
         fresh = np.setdiff1d(finer, grid.angles)
         grid = grid.combine_with(forms.at_angles(fresh))
     multipliers = np.maximum(x[1:] / scale[1:], 0.0)
     return nu, multipliers, [index for index in chosen if index < coarse]
 
 
-def refined_angles(
+def additional_grid_frequencies(
     deciding: Float[np.ndarray, "D"], angles: Float[np.ndarray, "F"]
 ) -> Float[np.ndarray, "N"]:
     """Additional grid frequencies around each frequency whose constraint determines the optimum."""
@@ -175,7 +175,7 @@ def _reference_form_at(grid: FormsAtAngles, weights: DiscWeights) -> Any:
 
 def _program_in_box(
     constant: Any, linear: Any, scale: Unknowns, upper_bounds: Unknowns
-) -> AngleProgram:
+) -> FrequencyProgram:
     """Optimisation problem with one matrix constraint per grid frequency and scaled unknowns
     between zero and given bounds."""
     unknowns = len(scale)
@@ -183,17 +183,17 @@ def _program_in_box(
     rows = np.concatenate([identity, -identity])
     bounds = np.concatenate([np.zeros(unknowns), -upper_bounds])
     scaled = linear / scale[:, None, None, None]
-    return AngleProgram(constant=constant, linear=scaled, rows=rows, bounds=bounds)
+    return FrequencyProgram(constant=constant, linear=scaled, rows=rows, bounds=bounds)
 
 
 def _program_at_fixed_weights(
     grid: FormsAtAngles, weights: DiscWeights, centre: float
-) -> tuple[AngleProgram, Unknowns]:
+) -> tuple[FrequencyProgram, Unknowns]:
     """Optimisation problem for disc radius and multipliers at fixed weights, with constraints at
     the frequencies of a grid."""
     reference = _reference_form_at(grid, weights)
     linear = np.concatenate([-reference[None], grid.multipliers])
-    scale = form_sizes(linear)
+    scale = form_norms(linear)
     most = np.full(len(scale), MOST)
     most[0] = LARGEST * scale[0]
     program = _program_in_box(grid.centred[centre], linear, scale, most)
@@ -219,7 +219,7 @@ def _largest_margin(
     identity = np.eye(len(root))
     margin_form = -np.broadcast_to(identity, grid.model.shape)
     linear = np.concatenate([grid.multipliers * units, margin_form[None]])
-    scale = form_sizes(linear)
+    scale = form_norms(linear)
     unknowns = len(scale)
     most = np.full(unknowns, FARTHEST)
     program = _program_in_box(constant, linear, scale, most)
@@ -256,7 +256,7 @@ def certify_largest_coverage(
     premise: ModelErrorSpectra,
     centres: Sequence[float] = CENTRES,
     basis: WeightBasis | None = None,
-) -> Coverage:
+) -> CoverageResult:
     """Certificate with the largest ratio of proved to recorded model error over given disc centres,
     or the reason why there is none.
 
@@ -266,7 +266,7 @@ def certify_largest_coverage(
     for centre in centres:
         missing = premise.insufficient_records_reason(centre)
         if missing:
-            return Coverage(certificate=None, coverage=None, reason=missing)
+            return CoverageResult(certificate=None, coverage=None, reason=missing)
     items = {}
     excited_items = {}
     for centre in centres:
@@ -274,19 +274,19 @@ def certify_largest_coverage(
         items[centre] = [item for item in requirements if item.seen > 0]
         excited_items[centre] = [item for item in items[centre] if not item.dark]
     basis = basis or WeightBasis()
-    whole = _largest_coverage_around(context, items, basis)
+    whole = _certify_largest_coverage_at_centres(context, items, basis)
     has_both = all(excited_items.values()) and excited_items != items
     if whole.covers_records or not has_both:
         return whole
-    partial = _largest_coverage_around(context, excited_items, basis)
+    partial = _certify_largest_coverage_at_centres(context, excited_items, basis)
     return partial if partial.covers_records else whole
 
 
-def _largest_coverage_around(
+def _certify_largest_coverage_at_centres(
     context: VerificationContext,
     requirements: dict[float, list[DiscRequirement]],
     basis: WeightBasis,
-) -> Coverage:
+) -> CoverageResult:
     """Certificate with the largest ratio of proved to recorded model error, among discs around
     given centres."""
     started = time.perf_counter()
@@ -307,21 +307,25 @@ def _largest_coverage_around(
     optima.sort(key=lambda optimum: -optimum[0])
     for nu, unknowns, program in optima:
         if nu >= LARGEST:
-            return Coverage(certificate=None, coverage=None, reason="no mismatch has an effect")
-        coverage = _certify_program(context, theorem, program, nu, unknowns, started)
+            return CoverageResult(
+                certificate=None, coverage=None, reason="no mismatch has an effect"
+            )
+        coverage = _certify_optimum(context, theorem, program, nu, unknowns, started)
         if coverage is not None:
             return coverage
-    return Coverage(certificate=None, coverage=None, reason="nothing is proved at these gains")
+    return CoverageResult(
+        certificate=None, coverage=None, reason="nothing is proved at these gains"
+    )
 
 
-def _certify_program(
+def _certify_optimum(
     context: VerificationContext,
     theorem: type[MeasuredDiscs],
     program: WeightProgram,
     squared_radius: float,
     unknowns: Unknowns,
     start_time: float,
-) -> Coverage | None:
+) -> CoverageResult | None:
     """Certificate made from jointly optimised weights and multipliers; None if exact arithmetic
     refuses it."""
     for inside in INSIDE:
@@ -340,5 +344,7 @@ def _certify_program(
             if proof is not None:
                 need, where = weights.largest_required_radius(program.items)
                 covered = proof.kappa / need
-                return Coverage(certificate=proof, coverage=covered, reason="", reference=where)
+                return CoverageResult(
+                    certificate=proof, coverage=covered, reason="", reference=where
+                )
     return None

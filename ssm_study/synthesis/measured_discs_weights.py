@@ -17,10 +17,10 @@ from ssm_study.robustness.coverage import DiscWeights
 from ssm_study.robustness.coverage_items import DiscRequirement
 from ssm_study.synthesis.measured_discs_program import (
     MOST,
-    AngleProgram,
     FormsAtAngles,
+    FrequencyProgram,
     LoopForms,
-    form_sizes,
+    form_norms,
 )
 
 Unknowns = Float[np.ndarray, "n"]
@@ -48,8 +48,9 @@ EVENLY = np.linspace(0, np.pi, 2001)
 def initial_weights(
     forms: LoopForms, centre: float, multipliers: Float[np.ndarray, "A"]
 ) -> Float[np.ndarray, "G"]:
-    """Initial weight of each free signal of the closed loop: its diagonal element in the loop's
-    quadratic form. It is one for |e|^2, its multiplier for |p|^2, and so on."""
+    """Initial weight of each free signal of the closed loop, such as the model error: its diagonal
+    element in the loop's quadratic form. It is one for |e|^2, its multiplier for |p|^2, and so
+    on."""
     order = len(forms.a)
     map_forms = np.tensordot(multipliers, forms.multipliers, axes=1)
     whole = forms.centred[centre] + map_forms
@@ -67,7 +68,7 @@ class WeightBasis:
     poles: tuple[float, ...] = POLES
     order: int = ORDER
 
-    def denominator(self, angles: Angles) -> Angles:
+    def squared_denominator(self, angles: Angles) -> Angles:
         """Squared gain `|den|^2` of the weighting filters' common denominator at each frequency."""
         if not self.poles:
             return np.ones(len(angles))
@@ -75,11 +76,11 @@ class WeightBasis:
         factors = [np.abs(1 - pole * delay) ** 2 for pole in self.poles]
         return np.asarray(np.prod(factors, axis=0))
 
-    def values_at(self, angles: Angles) -> BasisValues:
+    def basis_values(self, angles: Angles) -> BasisValues:
         """Value of each basis function of the squared weights at each frequency."""
-        return self.numerators(angles) / self.denominator(angles)
+        return self.cosine_values(angles) / self.squared_denominator(angles)
 
-    def numerators(self, angles: Angles) -> BasisValues:
+    def cosine_values(self, angles: Angles) -> BasisValues:
         """Values of the cosine basis, one and `2 cos(k w)`, at each frequency `w`. The squared
         weights are sums of these, over a common denominator."""
         rows = [np.ones(len(angles))]
@@ -156,7 +157,7 @@ class WeightProgram:
         """Coefficient matrix of each unknown of the weight optimisation in the constraint at each
         frequency."""
         angles = self.grid.angles
-        basis_values = self.basis.values_at(angles)
+        basis_values = self.basis.basis_values(angles)
         phi = basis_values[:, :, None, None]
         of_x = -phi * self.grid.model
         of_y = -phi * self.grid.input
@@ -168,7 +169,7 @@ class WeightProgram:
         disc's weights."""
         rows = []
         for item in self.items:
-            phi = self.basis.values_at(item.angles)
+            phi = self.basis.basis_values(item.angles)
             of_x = phi @ item.model_power
             of_y = phi @ item.input_power
             reference = np.concatenate([of_x, of_y])
@@ -179,8 +180,8 @@ class WeightProgram:
         """Linear constraints, as coefficient rows with lower bounds, that keep both weights of a
         disc of model errors positive. X exceeds `c^2`, so that the disc contains `e = 0`, and
         neither comes near zero."""
-        mean = self.basis.values_at(EVENLY).mean(axis=1)
-        on_circle = self.basis.values_at(CIRCLE).T
+        mean = self.basis.basis_values(EVENLY).mean(axis=1)
+        on_circle = self.basis.basis_values(CIRCLE).T
         clear = on_circle - NEAR_ZERO * mean
         none = np.zeros_like(clear)
         count = len(CIRCLE)
@@ -209,14 +210,14 @@ class WeightProgram:
         radius is below `least_squared_radius`, an upper bound that is below it, too, is returned.
         """
         linear = self.unknown_matrices
-        scale = form_sizes(linear)
+        scale = form_norms(linear)
         count = len(scale)
         rows, bounds = self._constraints_with_radius(scale)
         constant = self.grid.centred[self.centre]
         of_nu = np.zeros_like(linear[:1])
         scaled = scale_unknowns(linear, scale)
         with_nu = np.concatenate([of_nu, scaled])
-        program = AngleProgram(constant=constant, linear=with_nu, rows=rows, bounds=bounds)
+        program = FrequencyProgram(constant=constant, linear=with_nu, rows=rows, bounds=bounds)
         goal = np.zeros(1 + count)
         goal[0] = 1.0
         differences = self.grid.angles - start_angles[:, None]
@@ -279,7 +280,7 @@ class WeightProgram:
         root = 1 / np.sqrt(own)
         units = np.outer(root, root)  # each free signal in units of its own weight
         linear = self.unknown_matrices * units
-        scale = form_sizes(linear)
+        scale = form_norms(linear)
         count = len(scale)
         rows, bounds, bands = self._constraints_with_widening(scale, squared_radius)
         matrix_shape = linear.shape[1:]
@@ -288,7 +289,9 @@ class WeightProgram:
         constant = self.grid.centred[self.centre] * units - margin
         scaled = scale_unknowns(linear, scale)
         with_widenings = np.concatenate([scaled, of_widenings])
-        program = AngleProgram(constant=constant, linear=with_widenings, rows=rows, bounds=bounds)
+        program = FrequencyProgram(
+            constant=constant, linear=with_widenings, rows=rows, bounds=bounds
+        )
         goal = np.concatenate([np.zeros(count), np.ones(bands)])
         x, _ = program.maximise(goal, self.tolerance)
         scaled_unknowns = x[:count]

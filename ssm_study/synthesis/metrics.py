@@ -20,7 +20,7 @@ from ssm_study.robustness.coverage_columns import COLUMNS as COVERAGE_COLUMNS
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.sensitivity import noise_gain
-from ssm_study.synthesis.deployed import SETS, WithinLimits
+from ssm_study.synthesis.deployed import SETS, RangeWithinLimits
 from ssm_study.systems import Balls, StructuredSystem
 
 OPINION = "another solver's opinion, which decides nothing"
@@ -206,7 +206,7 @@ def mismatch_columns(mismatch: Mismatch) -> dict[str, Any]:
 
 def input_limit_columns(design: Design, model: Model) -> dict[str, Any]:
     """Table columns of what is proved under input limits; no columns if nothing is proved."""
-    within_limits = WithinLimits.from_certificate(model, design.extra_certificates)
+    within_limits = RangeWithinLimits.from_certificate(model, design.extra_certificates)
     if within_limits is None:
         return {}
     limits: Any = design.extra_certificates[SETS]

@@ -164,7 +164,7 @@ def _gain_at_intermediate_rate(
     """Modes, minimum-energy gain and contraction factor at a rate between the requested and the
     largest provable one."""
     ball = problem.ball
-    r = problem.contraction
+    r = problem.contraction_factor
     frontier = contraction_frontier(problem.a, problem.b, ball)
     contraction_limit = frontier.contraction_limit
     limit = max(contraction_limit, FASTEST * r)

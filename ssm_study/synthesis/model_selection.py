@@ -57,8 +57,7 @@ class LargestCertifiableRate:
         near = [
             identified
             for identified in identified_models
-            if identified.fit_validation_percent
-            >= best_fit - self._equal_fit_difference(identified.model)
+            if identified.fit_validation_percent >= best_fit - self._fit_tolerance(identified.model)
         ]
         if len(near) == 1:
             return near[0]
@@ -85,7 +84,7 @@ class LargestCertifiableRate:
         rate_of_model = self.largest_feedback_rate(model)
         return rate_of_model > 0.0 and has_certified_observer(model)
 
-    def _equal_fit_difference(self, model: Any) -> float:
+    def _fit_tolerance(self, model: Any) -> float:
         """Difference in fit, in percentage points, up to which two models count as equally good."""
         if isinstance(model.system, StateSpace):
             return self.one_layer_within_percent

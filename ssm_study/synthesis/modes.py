@@ -95,7 +95,7 @@ def weighted_block_metric(problem: Problem, modes: Modes, fast_gain: FastGain) -
         fast_columns = modes.right @ fast_gain.p
         matrix = fast_columns @ modes.right.T
         return symmetric_part(matrix)
-    ah = modes.a_slow / problem.contraction
+    ah = modes.a_slow / problem.contraction_factor
     eigenvalues = np.linalg.eigvals(ah)
     spectral_radius = np.abs(eigenvalues).max()
     if not spectral_radius < 1:
@@ -136,7 +136,7 @@ def full_metric(
     if modes.fast_count == 0:
         raise NoSolution("no fast modes: nothing to couple")
     scale = _state_scales(problem, modes, faster_contraction)
-    ratio_step = (problem.contraction / faster_contraction) ** BETWEEN
+    ratio_step = (problem.contraction_factor / faster_contraction) ** BETWEEN
     between = float(faster_contraction * ratio_step)
     right = modes.right @ scale
     left = np.linalg.solve(scale, modes.left)
@@ -155,7 +155,7 @@ def _state_scales(problem: Problem, modes: Modes, faster_contraction: float) -> 
     identity = np.eye(slow)
     reach += SLOW_FLOOR * size_of_reach * identity
     try:
-        scaled_slow = modes.a_slow / problem.contraction
+        scaled_slow = modes.a_slow / problem.contraction_factor
         gramian = scipy.linalg.solve_discrete_lyapunov(scaled_slow, reach)
         slow_root = np.linalg.cholesky(gramian)
         return scipy.linalg.block_diag(root, slow_root)

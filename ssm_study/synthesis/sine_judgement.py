@@ -49,7 +49,7 @@ def spectral_lines_to_test(
     return lines
 
 
-def measure_simulated_sines(
+def measure_error_with_simulated_sines(
     design: Design,
     model: Model,
     balls: Balls,

@@ -56,7 +56,7 @@ FLAT = 1e-3  # a descent ends when a step gains less of the logarithm of its goa
 
 
 @dataclass(frozen=True, kw_only=True)
-class Game:
+class RiccatiGame:
     """Dynamic game whose Riccati equation gives the gain of a model with neurons, for one
     contraction factor. The search starts with slower factors, which may exceed one."""
 
@@ -100,7 +100,7 @@ class Game:
         return *contiguous, input_weight, input_count, self_r, neurons.allows_injection
 
 
-class Saddle(NamedTuple):
+class SaddlePoint(NamedTuple):
     """Saddle point of the game: the guaranteed cost, its gradient and the Riccati solution."""
 
     goal: float
@@ -110,7 +110,9 @@ class Saddle(NamedTuple):
     toward: Matrix
 
 
-def evaluate_saddle_point(game: Game, log_multipliers: Vector, barrier_weight: float) -> Saddle:
+def evaluate_saddle_point(
+    game: RiccatiGame, log_multipliers: Vector, barrier_weight: float
+) -> SaddlePoint:
     """Saddle point of a game for given logarithms of the multipliers, with the guaranteed cost and
     its gradient. Its goal is infinite if they are inadmissible.
 
@@ -120,15 +122,15 @@ def evaluate_saddle_point(game: Game, log_multipliers: Vector, barrier_weight: f
     """
     try:
         saddle_numbers = solve_saddle_point(*game.solver_arguments, log_multipliers, barrier_weight)
-        return Saddle(*saddle_numbers)
+        return SaddlePoint(*saddle_numbers)
     except (np.linalg.LinAlgError, ArithmeticError):
         none = np.empty((0, 0))
         gradient = np.empty(0)
-        return Saddle(np.inf, gradient, none, none, none)
+        return SaddlePoint(np.inf, gradient, none, none, none)
 
 
 def minimise_guaranteed_cost(
-    game: Game, log_multipliers: Vector, barrier_weight: float, evaluation_count: int
+    game: RiccatiGame, log_multipliers: Vector, barrier_weight: float, evaluation_count: int
 ) -> Vector:
     """Logarithms of the multipliers that minimise the guaranteed cost of a game, by the BFGS
     method. A step to an inadmissible point is shortened."""
@@ -179,21 +181,21 @@ def least_guaranteed_cost(problem: Problem, start_solution: Solution | None = No
     """
     if start_solution is not None and start_solution.logs is None:
         return start_solution  # it is the solution itself
-    game = Game(problem=problem, r=problem.contraction)
+    game = RiccatiGame(problem=problem, r=problem.contraction_factor)
     near_logs = None if start_solution is None else start_solution.logs
     for logs in () if near_logs is None else near_logs + ROOM[:, None]:
         goal = evaluate_saddle_point(game, logs, 0.0).goal
         if np.isfinite(goal):
-            return theorem_matrices(game, least_cost_multipliers(game, logs))
+            return solution_of_game(game, least_cost_multipliers(game, logs))
     for effort in TRIES:
         logs, reached = continue_to_rate(game, *effort)
         if reached <= game.r:
-            return theorem_matrices(game, logs)
+            return solution_of_game(game, logs)
     raise NoSolution(f"multipliers found down to a factor {reached:.4f} a sample")
 
 
 def continue_to_rate(
-    game: Game, barrier_weight: float, evaluations_per_rate: int, shortest_step: float
+    game: RiccatiGame, barrier_weight: float, evaluations_per_rate: int, shortest_step: float
 ) -> tuple[Vector, float]:
     """Admissible multipliers (as logarithms) at the requested contraction rate, found by
     continuation from a slower rate."""
@@ -231,7 +233,7 @@ def continue_to_rate(
     return least_cost_multipliers(game, logs), game.r
 
 
-def least_cost_multipliers(game: Game, log_multipliers: Vector) -> Vector:
+def least_cost_multipliers(game: RiccatiGame, log_multipliers: Vector) -> Vector:
     """Multipliers (as logarithms) with the smallest guaranteed cost, by a search that starts at
     admissible ones."""
     for barrier, evaluations in LAST:
@@ -257,7 +259,7 @@ def log_multipliers(problem: Problem, solution: Solution) -> Vector:
     return np.log(multipliers)
 
 
-def _interpolate_games(game: Game, slow_game: Game, fraction: float) -> Game:
+def _interpolate_games(game: RiccatiGame, slow_game: RiccatiGame, fraction: float) -> RiccatiGame:
     """Dynamic game whose contraction factor is interpolated between the contraction factors of two
     games."""
     if fraction == 1.0:
@@ -267,7 +269,7 @@ def _interpolate_games(game: Game, slow_game: Game, fraction: float) -> Game:
     return replace(game, r=between)
 
 
-def theorem_matrices(game: Game, logs: Vector) -> Solution:
+def solution_of_game(game: RiccatiGame, logs: Vector) -> Solution:
     """Gain, metric and multipliers of a design with neurons, from the Riccati equation of its
     linear-quadratic game. Raises
     `NoSolution` if the conditions do not hold there."""

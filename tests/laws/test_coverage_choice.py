@@ -19,8 +19,8 @@ from ssm_study.synthesis.measured_discs_choice import (
     LESS_COVERED,
     NOT_COVERED,
     PREDICTED,
-    coverage_by_frequency,
-    first_covering_design,
+    choose_covering_design,
+    tolerated_disc_radius,
 )
 from ssm_study.synthesis.measured_discs_run import (
     add_coverage_certificate,
@@ -34,12 +34,12 @@ SLOW = design(input_weight=30.0)
 
 
 def chosen(known, cover: float = 1.0, designs=(FAST, SLOW)):
-    return first_covering_design(iter(designs), lambda one: one, SSM_MODEL, BALLS, known, cover)
+    return choose_covering_design(iter(designs), lambda one: one, SSM_MODEL, BALLS, known, cover)
 
 
 def test_the_first_covered_design_is_taken() -> None:
     known = premise(scaled_model(0.2))
-    fast, slow = (coverage_by_frequency(one, SSM_MODEL, BALLS, known) for one in (FAST, SLOW))
+    fast, slow = (tolerated_disc_radius(one, SSM_MODEL, BALLS, known) for one in (FAST, SLOW))
     assert slow > 1.2 * fast
     between = (slow * fast) ** 0.5
     expected = (SLOW, COVERED)
@@ -52,7 +52,7 @@ def test_the_first_covered_design_is_taken() -> None:
 def test_the_certificate_has_the_coverage_that_the_frequencies_promise() -> None:
     known = premise(scaled_model(0.2))
     for one in (FAST, SLOW):
-        promised = coverage_by_frequency(one, SSM_MODEL, BALLS, known)
+        promised = tolerated_disc_radius(one, SSM_MODEL, BALLS, known)
         facts = coverage_columns(
             add_coverage_certificate(one, SSM_MODEL, BALLS, known), SSM_MODEL, known
         )
@@ -90,7 +90,7 @@ def test_a_coverage_below_zero_is_no_request() -> None:
 
 def test_where_less_is_covered_than_asked_for_a_covered_design_is_taken() -> None:
     known = premise(scaled_model(0.05))
-    assert coverage_by_frequency(SLOW, SSM_MODEL, BALLS, known) > 1.1
+    assert tolerated_disc_radius(SLOW, SSM_MODEL, BALLS, known) > 1.1
     expected = (SLOW, LESS_COVERED)
     assert chosen(known, 1e4, designs=(SLOW,)) == expected
     far_off = premise(scaled_model(5.0))

@@ -20,8 +20,8 @@ from ssm_study.synthesis.measured_discs_choice import (
     NEAR,
     NOT_COVERED,
     SEARCHED,
-    coverage_by_frequency,
-    first_covering_design,
+    choose_covering_design,
+    tolerated_disc_radius,
 )
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
 
@@ -51,7 +51,7 @@ def search() -> GainSearch:
 
 @pytest.fixture(scope="module")
 def coverage_of_grid() -> float:
-    return coverage_by_frequency(FAST, SSM_MODEL, BALLS, PREMISE)
+    return tolerated_disc_radius(FAST, SSM_MODEL, BALLS, PREMISE)
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def improved(search, coverage_of_grid):
 
 def test_gains_around_the_grid_cover_more_and_are_certified(improved, coverage_of_grid) -> None:
     assert improved.certified
-    by_frequency = coverage_by_frequency(improved, SSM_MODEL, BALLS, PREMISE)
+    by_frequency = tolerated_disc_radius(improved, SSM_MODEL, BALLS, PREMISE)
     assert by_frequency >= TARGET_SHARE * coverage_of_grid  # as the certificate does, below
     proved = add_coverage_certificate(improved, SSM_MODEL, BALLS, PREMISE)
     facts = coverage_columns(proved, SSM_MODEL, PREMISE)
@@ -90,7 +90,7 @@ def test_covered_gains_are_made_faster_and_stay_covered(search, coverage_of_grid
     slow = design(input_weight=30.0)
     faster = search.improve_design(slow, target, rounds=2, largest_area=AREA_TOO_LARGE)
     assert search.response_area(faster.pair) < search.response_area(slow.pair)
-    assert coverage_by_frequency(faster, SSM_MODEL, BALLS, PREMISE) >= target
+    assert tolerated_disc_radius(faster, SSM_MODEL, BALLS, PREMISE) >= target
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_the_choice_searches_only_where_the_grid_does_not_cover(
 ) -> None:
     coverage = share_of_coverage * LOST
     monkeypatch.setattr(
-        "ssm_study.synthesis.measured_discs_choice.coverage_by_frequency", lambda *_: coverage
+        "ssm_study.synthesis.measured_discs_choice.tolerated_disc_radius", lambda *_: coverage
     )
     asked = []
     found = design(input_weight=1.0)
@@ -112,7 +112,7 @@ def test_the_choice_searches_only_where_the_grid_does_not_cover(
         return found
 
     pairs = iter([FAST])
-    chosen = first_covering_design(pairs, lambda one: one, SSM_MODEL, BALLS, PREMISE, cover, note)
+    chosen = choose_covering_design(pairs, lambda one: one, SSM_MODEL, BALLS, PREMISE, cover, note)
     if searches:
         assert chosen == (found, SEARCHED)
         expected = [(FAST, FAST, 1.0)]
@@ -126,7 +126,7 @@ def test_the_choice_searches_only_where_the_grid_does_not_cover(
 def test_a_covered_pair_from_far_down_the_order_is_made_faster(monkeypatch, searches) -> None:
     slow = design(input_weight=1.0)
     monkeypatch.setattr(
-        "ssm_study.synthesis.measured_discs_choice.coverage_by_frequency",
+        "ssm_study.synthesis.measured_discs_choice.tolerated_disc_radius",
         lambda one, *_: 1.1 * LOST if one is slow else 0.5,
     )
     found = design(input_weight=0.1)
@@ -140,17 +140,17 @@ def test_a_covered_pair_from_far_down_the_order_is_made_faster(monkeypatch, sear
         return slow if place > NEAR else FAST
 
     pairs = iter(range(400))
-    chosen = first_covering_design(pairs, make, SSM_MODEL, BALLS, PREMISE, None, search)
+    chosen = choose_covering_design(pairs, make, SSM_MODEL, BALLS, PREMISE, None, search)
     assert chosen == ((found, SEARCHED) if searches else (slow, COVERED))
     assert asked == [(FAST, FAST, 1.0), (FAST, slow, 1.0)]
 
 
 def test_a_search_without_a_design_leaves_the_first(monkeypatch) -> None:
     monkeypatch.setattr(
-        "ssm_study.synthesis.measured_discs_choice.coverage_by_frequency", lambda *_: 0.9 * LOST
+        "ssm_study.synthesis.measured_discs_choice.tolerated_disc_radius", lambda *_: 0.9 * LOST
     )
     pairs = iter([FAST])
-    chosen = first_covering_design(
+    chosen = choose_covering_design(
         pairs, lambda one: one, SSM_MODEL, BALLS, PREMISE, None, lambda *_: None
     )
     assert chosen == (FAST, NOT_COVERED)
@@ -181,6 +181,6 @@ def test_a_grid_without_a_design_is_given_up_after_its_near_pairs() -> None:
     def make(place):
         tried.append(place)
 
-    chosen = first_covering_design(iter(range(400)), make, SSM_MODEL, BALLS, PREMISE, None)
+    chosen = choose_covering_design(iter(range(400)), make, SSM_MODEL, BALLS, PREMISE, None)
     assert chosen[0] is None
     assert tried == list(range(NEAR + 1))

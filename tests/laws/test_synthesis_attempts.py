@@ -34,8 +34,8 @@ def shares(asked: Problem, contractions: list[float]) -> np.ndarray:
     """How far each lies on the way, in log r, from the asked factor to the frontier, or to half
     where that is zero."""
     contraction_limit = limits(asked).contraction_limit
-    floor = max(contraction_limit, asked.contraction / 2)
-    asked_contraction = asked.contraction
+    floor = max(contraction_limit, asked.contraction_factor / 2)
+    asked_contraction = asked.contraction_factor
     logs = np.log(np.array(contractions) / asked_contraction)
     return logs / np.log(floor / asked_contraction)
 

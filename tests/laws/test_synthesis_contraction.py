@@ -113,7 +113,7 @@ def test_the_separation_bound_holds_on_the_model(seed: int, channels: int, metho
     violations = count_bound_violations(x, xh, design.state_feedback, design.observer)
     assert violations == 0
     _, error = metric_distances(x, xh, design.state_feedback, design.observer)
-    contraction = design.observer.contraction
+    contraction = design.observer.contraction_factor
     earlier = error[:, :-1]
     contracted = contraction * earlier
     first = error[:, :1]
@@ -187,7 +187,7 @@ def test_distances_shrink_by_the_root_of_one_minus_the_rate(seed: int) -> None:
     metric = np.linalg.inv(part.p)
     ratios = steps_in(metric, part)
     largest = ratios.max()
-    upper_limit = part.contraction * (1 + 1e-7)
+    upper_limit = part.contraction_factor * (1 + 1e-7)
     assert largest <= upper_limit
 
 
@@ -197,7 +197,7 @@ def test_the_metric_is_the_inverse_of_p_and_not_p() -> None:
     ratios = []
     for part in _feedbacks():
         steps = steps_in(part.p, part)
-        ratios.append(steps.max() / part.contraction)
+        ratios.append(steps.max() / part.contraction_factor)
     worst = max(ratios)
     assert worst > 1.05
 

@@ -12,7 +12,10 @@ import pytest
 from test_models_bilinear import known_model
 
 from ssm_study.api.rest_design import RestDesign, equilibrium_input_range, equilibrium_state
-from ssm_study.certificates.bilinear_certificates import RestCertificates, failed_rest_checks
+from ssm_study.certificates.bilinear_certificates import (
+    BilinearCertificates,
+    failed_bilinear_checks,
+)
 from ssm_study.certificates.theorems.bilinear_contraction import BilinearContraction
 from ssm_study.certificates.theorems.bilinear_everywhere import BilinearEverywhere
 from ssm_study.certificates.theorems.bilinear_loop import BilinearLoop
@@ -33,13 +36,13 @@ CASES = 400
 
 
 @pytest.fixture(scope="module")
-def certificates() -> RestCertificates:
+def certificates() -> BilinearCertificates:
     model = known_model()
     return BilinearSynthesis().design(model)
 
 
 @pytest.fixture
-def controller(certificates: RestCertificates) -> BilinearFeedback:
+def controller(certificates: BilinearCertificates) -> BilinearFeedback:
     model = known_model()
     return BilinearFeedback(model=model, k=certificates.k, l_nodes=certificates.l_nodes)
 
@@ -77,7 +80,7 @@ def random_starts(part: BilinearLoop | BilinearEverywhere, size: float) -> tuple
 
 
 def test_the_loop_comes_to_rest_as_certified(
-    certificates: RestCertificates, controller: BilinearFeedback
+    certificates: BilinearCertificates, controller: BilinearFeedback
 ) -> None:
     part = certificates.parts["bilinear_loop"]
     assert isinstance(part, BilinearLoop)
@@ -98,7 +101,7 @@ def test_the_loop_comes_to_rest_as_certified(
 
 
 def test_from_far_away_the_cut_loop_comes_to_rest_as_certified(
-    certificates: RestCertificates, controller: BilinearFeedback
+    certificates: BilinearCertificates, controller: BilinearFeedback
 ) -> None:
     part = certificates.parts["bilinear_everywhere"]
     assert isinstance(part, BilinearEverywhere)
@@ -122,7 +125,7 @@ def test_from_far_away_the_cut_loop_comes_to_rest_as_certified(
 
 
 def test_two_motions_approach_each_other_inside_the_set_as_certified(
-    certificates: RestCertificates,
+    certificates: BilinearCertificates,
 ) -> None:
     part = certificates.parts["bilinear_contraction"]
     assert isinstance(part, BilinearContraction)
@@ -173,7 +176,7 @@ def test_contraction_fails_far_from_rest() -> None:
     assert distance_after > 0.12  # before: 0.1
 
 
-def test_the_vertices_hold_between_the_nodes(certificates: RestCertificates) -> None:
+def test_the_vertices_hold_between_the_nodes(certificates: BilinearCertificates) -> None:
     """A second route: the loop's matrix at many inputs, from the hat functions themselves."""
     part = certificates.parts["bilinear_loop"]
     assert isinstance(part, BilinearLoop)
@@ -196,7 +199,7 @@ def test_the_vertices_hold_between_the_nodes(certificates: RestCertificates) -> 
 
 
 @pytest.mark.parametrize("label", ["bilinear_loop", "bilinear_everywhere", "bilinear_contraction"])
-def test_what_is_not_so_is_refused(certificates: RestCertificates, label: str) -> None:
+def test_what_is_not_so_is_refused(certificates: BilinearCertificates, label: str) -> None:
     """Each number of a certificate, changed to claim more."""
     part = certificates.parts[label]
     numbers = part.variables
@@ -216,7 +219,7 @@ def test_what_is_not_so_is_refused(certificates: RestCertificates, label: str) -
 
 
 def test_a_stored_design_is_verified_and_a_lie_is_named(
-    certificates: RestCertificates, tmp_path: Path
+    certificates: BilinearCertificates, tmp_path: Path
 ) -> None:
     design = RestDesign(model=known_model(), certificates=certificates, channels=CHANNELS)
     folder = design.save(tmp_path / "design")
@@ -239,7 +242,7 @@ def test_a_stored_design_is_verified_and_a_lie_is_named(
 
 
 def test_a_record_beside_a_saved_design_is_named_and_not_shown(
-    certificates: RestCertificates, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    certificates: BilinearCertificates, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Any run folder would be verified by the certificates of a design that lies in it."""
     design = RestDesign(model=known_model(), certificates=certificates, channels=CHANNELS)
@@ -259,7 +262,7 @@ def test_a_record_beside_a_saved_design_is_named_and_not_shown(
 
 
 def test_the_commands_take_a_saved_design(
-    certificates: RestCertificates, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    certificates: BilinearCertificates, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     design = RestDesign(model=known_model(), certificates=certificates, channels=CHANNELS)
     folder = design.save(tmp_path / "design")
@@ -275,22 +278,24 @@ def test_the_commands_take_a_saved_design(
     assert "there is no record.json" in capsys.readouterr().err
 
 
-def test_a_certificate_of_another_model_or_gain_is_refused(certificates: RestCertificates) -> None:
+def test_a_certificate_of_another_model_or_gain_is_refused(
+    certificates: BilinearCertificates,
+) -> None:
     content = certificates.to_json()
     model = known_model()
-    assert failed_rest_checks(content, model) == []
+    assert failed_bilinear_checks(content, model) == []
     larger_a = 0.99 * model.a
     other = replace(model, a=larger_a)
-    (first, *_) = failed_rest_checks(content, other)
+    (first, *_) = failed_bilinear_checks(content, other)
     assert "a_nodes: differs from what the model" in first
     larger_gain = 1.1 * certificates.k
     deployed = content | {"k": larger_gain.tolist()}
-    text = " ".join(failed_rest_checks(deployed, model))
+    text = " ".join(failed_bilinear_checks(deployed, model))
     assert "not the one that is deployed" in text
-    (unknown,) = failed_rest_checks(content | {"bilinear_wish": {}}, model)
+    (unknown,) = failed_bilinear_checks(content | {"bilinear_wish": {}}, model)
     assert "bilinear_wish: is not one of bilinear_loop" in unknown
     gain_alone = {"k": content["k"]}
-    (missing,) = failed_rest_checks(gain_alone, model)
+    (missing,) = failed_bilinear_checks(gain_alone, model)
     assert "certificate.l_nodes" in missing
 
 
@@ -320,7 +325,7 @@ def test_an_input_with_its_rest_at_an_end_is_certified_with_the_cut_alone() -> N
     assert certificates.certified
 
 
-def test_the_loop_settles_sooner_than_the_model_alone(certificates: RestCertificates) -> None:
+def test_the_loop_settles_sooner_than_the_model_alone(certificates: BilinearCertificates) -> None:
     design = RestDesign(model=known_model(), certificates=certificates, channels=CHANNELS)
     starts = [0.5, -0.5]
     table = design.simulate(starts, horizon_s=3.0)
@@ -338,7 +343,7 @@ def test_the_loop_settles_sooner_than_the_model_alone(certificates: RestCertific
     assert len(columns) == 2
 
 
-def test_the_named_starts_from_rest_are_in_the_set(certificates: RestCertificates) -> None:
+def test_the_named_starts_from_rest_are_in_the_set(certificates: BilinearCertificates) -> None:
     part = certificates.parts["bilinear_loop"]
     model = known_model()
     lowest, highest = equilibrium_input_range(model, part)
@@ -357,7 +362,7 @@ def test_the_named_starts_from_rest_are_in_the_set(certificates: RestCertificate
 
 @pytest.mark.parametrize("real", ["double", "float"])
 def test_the_compiled_controller_does_the_same(
-    certificates: RestCertificates, tmp_path: Path, real: str
+    certificates: BilinearCertificates, tmp_path: Path, real: str
 ) -> None:
     compiler = shutil.which("gcc") or shutil.which("cc")
     if compiler is None:
@@ -393,7 +398,7 @@ def test_the_compiled_controller_does_the_same(
 
 
 def test_a_prefix_that_is_no_name_is_refused(
-    certificates: RestCertificates, tmp_path: Path
+    certificates: BilinearCertificates, tmp_path: Path
 ) -> None:
     design = RestDesign(model=known_model(), certificates=certificates, channels=CHANNELS)
     with pytest.raises(BadRequest, match="is no name in C"):

@@ -79,7 +79,7 @@ def test_measured_is_within_certified(seed):
     assert bound_violations == 0
     d, e = metric_distances(run.states, run.estimate, feedback, observer)
     floor = 1e-12 * e[:, :1]  # of the start: below it, differences of two states are rounding
-    decayed = observer.contraction * e[:, :-1]
+    decayed = observer.contraction_factor * e[:, :-1]
     upper_limit = decayed * (1 + 1e-9) + floor
     assert (e[:, 1:] <= upper_limit).all()
     largest = d[:, -1].max()
@@ -133,7 +133,7 @@ def test_an_estimate_beyond_its_bound_is_measured_as_a_share_of_the_start():
     d0 = d[:, 0]
     e0 = e[:, 0]
     bound = distance_bound(d0, e0, 120, feedback, observer)
-    decay = observer.contraction ** np.arange(120)
+    decay = observer.contraction_factor ** np.arange(120)
     bound = bound + kappa * e * decay
     distance = bound[7, 40] + 0.3 * bound[7, 0]
     pushed[7, 40] = root_p[:, 0] * distance
@@ -160,8 +160,8 @@ def test_the_bound_is_the_sum_it_says():
     feedback, observer = certified(model)
     d0 = np.array([2.0])
     e0 = np.array([3.0])
-    r_c = feedback.contraction
-    r_o = observer.contraction
+    r_c = feedback.contraction_factor
+    r_o = observer.contraction_factor
     inverse = np.linalg.inv(feedback.p)
     linear_b = model.linear.b
     root = np.linalg.cholesky(inverse)

@@ -23,8 +23,8 @@ from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Scale
 from ssm_study.synthesis.deployed import (
-    WithinLimits,
-    certify_input_limits,
+    RangeWithinLimits,
+    certify_under_input_limits,
     prove_within_input_limits,
 )
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -234,7 +234,7 @@ def test_where_no_input_holds_an_output_there_is_no_range(pair: tuple[SSM, Desig
     c = 0 * model.linear.c
     linear = replace(model.linear, c=c)
     blind = model.with_linear_part(linear)
-    certificates = set(certify_input_limits(blind, design, -LIMIT, LIMIT))
+    certificates = set(certify_under_input_limits(blind, design, -LIMIT, LIMIT))
     assert certificates == {"state_feedback_limited"}
     with pytest.raises(BadRequest, match="nothing is proved within them"):
         prove_within_input_limits(blind, design, -LIMIT, LIMIT)
@@ -258,7 +258,7 @@ def test_where_the_input_moves_the_output_at_once_there_is_no_range() -> None:
     synthesis = RiccatiSynthesis(rate_controller=0.8, rate_observer=0.4, input_weight=1e-3)
     balls = Balls(input=ball, output=ball)
     design = synthesis.design(model, balls)
-    certificates = set(certify_input_limits(model, design, -LIMIT, LIMIT))
+    certificates = set(certify_under_input_limits(model, design, -LIMIT, LIMIT))
     assert certificates <= {"state_feedback_limited"}
     with pytest.raises(BadRequest, match="nothing is proved within them"):
         prove_within_input_limits(model, design, -LIMIT, LIMIT)
@@ -274,4 +274,4 @@ def test_the_header_says_both(tmp_path: Path, smoke_run: Path) -> None:
         or "From everywhere nothing is" in header
     )
     within_limits = design.within_limits([-1e3], [1e3])
-    assert isinstance(within_limits, WithinLimits)
+    assert isinstance(within_limits, RangeWithinLimits)

@@ -16,11 +16,11 @@ from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.signals import Scale
 from ssm_study.study.design_claims import check_stored_starts
 from ssm_study.synthesis.deployed import (
-    certify_input_limits,
+    certify_under_input_limits,
     equilibrium_corners,
-    nearest_equilibrium_starts,
     output_range,
     prove_within_input_limits,
+    scaled_equilibrium_states,
 )
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.metrics import input_limit_columns
@@ -67,7 +67,7 @@ def test_one_range_of_two_outputs_is_what_both_have(apart: float, shared: bool) 
     balls = Balls(input=ball, output=ball)
     design = synthesis.design(model, balls)
     each = prove_within_input_limits(model, design, *ENDS)
-    extra_certificates = certify_input_limits(model, design, *ENDS)
+    extra_certificates = certify_under_input_limits(model, design, *ENDS)
     changed_design = replace(design, extra_certificates=extra_certificates)
     facts = input_limit_columns(changed_design, model)
     upper_limit = [0.0, apart]
@@ -148,12 +148,12 @@ def test_no_limit_acts_from_any_corner_of_the_box_also_where_the_outputs_are_mix
     request_outside = largest_request(model, design, bounding)
     leaves_the_box = request_outside / 0.6 > 6
     assert leaves_the_box == (coupling > 0)
-    certificates = certify_input_limits(model, design, *ENDS)
+    certificates = certify_under_input_limits(model, design, *ENDS)
     part = certificates["state_feedback_unlimited"]
-    starts = nearest_equilibrium_starts(model, part.starts)
+    starts = scaled_equilibrium_states(model, part.starts)
     checked = check_stored_starts(part, starts)
     assert checked.holds
-    starts = nearest_equilibrium_starts(model, old.starts)
+    starts = scaled_equilibrium_states(model, old.starts)
     checked = check_stored_starts(old, starts)
     holds = checked.holds
     assert holds == (coupling == 0)

@@ -89,7 +89,7 @@ def test_the_guaranteed_cost_bounds_the_cost_of_every_slope() -> None:
             cost += discount * float(state_cost + input_cost)
             slope = rng.choice([0.4, 1.0])
             x = problem.a @ x + problem.b @ (slope * u)
-            discount /= problem.contraction**2
+            discount /= problem.contraction_factor**2
         upper_limit = float(x0 @ s @ x0) * (1 + 1e-5)
         assert cost <= upper_limit
 

@@ -123,7 +123,7 @@ def test_sampled_slopes_never_contract_slower_than_proved(seed: int, inputs: int
             step = root @ (part.a + moved) @ inverse
             norm = np.linalg.norm(step, 2)
             worst = max(worst, norm)
-        upper_limit = again.contraction * (1 + 1e-9)
+        upper_limit = again.contraction_factor * (1 + 1e-9)
         assert worst <= upper_limit
 
 

@@ -114,11 +114,11 @@ def test_its_gain_is_right_and_its_metric_lacks_a_few_bits(long_numbers: None) -
     problem = hard_problem(1e-4)
     frontier = contraction_frontier(problem.a, problem.b, problem.ball)
     limit = frontier.contraction_limit
-    share = (limit / problem.contraction) ** 0.5
-    faster = float(problem.contraction * share)
+    share = (limit / problem.contraction_factor) ** 0.5
+    faster = float(problem.contraction_factor * share)
     modes = split_modes(problem.a, problem.b, faster)
     k = minimum_energy_gain(modes, problem.ball, faster).k
-    room = problem.contraction / faster
+    room = problem.contraction_factor / faster
     between = float(faster * room**0.2)
     scale = modes.right @ _state_scales(problem, modes, faster)
     metric = least_metric(problem, k, between, scale)

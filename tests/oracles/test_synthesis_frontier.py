@@ -142,11 +142,11 @@ def test_a_slow_mode_out_of_reach_joins_the_metric_and_one_on_the_circle_does_no
     problem = Problem(a=a, b=b, ball=ball, rate=0.2, state_weight=state_weight, input_weight=1.0)
     solution = solution_with_full_metric(problem, 0.5, 1.0)
     assert holds(problem, solution)
-    a = np.diag([1.1, problem.contraction])
+    a = np.diag([1.1, problem.contraction_factor])
     on = replace(problem, a=a)
-    contraction = on.contraction * (1 + 1e-12)
+    contraction = on.contraction_factor * (1 + 1e-12)
     apart = split_modes(on.a, on.b, contraction)
-    fast = minimum_energy_gain(apart, ball, on.contraction)
+    fast = minimum_energy_gain(apart, ball, on.contraction_factor)
     with pytest.raises(NoSolution, match="on the circle"):
         modes.full_metric(on, apart, fast, 0.9)
 

@@ -32,7 +32,7 @@ from ssm_study.synthesis.structured_lmi import (
 )
 from ssm_study.synthesis.structured_riccati import (
     TRIES,
-    Game,
+    RiccatiGame,
     continue_to_rate,
     evaluate_saddle_point,
     least_guaranteed_cost,
@@ -80,7 +80,7 @@ def test_no_sampled_slope_contracts_slower_than_certified(
     except NoSolution:
         return
     assert is_confirmed_exactly(problem, found)
-    upper_limit = problem.contraction * (1 + 1e-9)
+    upper_limit = problem.contraction_factor * (1 + 1e-9)
     assert sampled(system, side, ball, found) <= upper_limit
 
 
@@ -99,8 +99,8 @@ def test_the_largest_rate_holds_and_no_more(side: str, ball: JacobianBall, h: fl
     )
     limit = frontier.rate_limit
     assert rate <= limit
-    assert sampled(system, side, ball, found) <= problem.contraction
-    faster = asked(system, side, ball, 1 - (0.8 * problem.contraction) ** 2)
+    assert sampled(system, side, ball, found) <= problem.contraction_factor
+    faster = asked(system, side, ball, 1 - (0.8 * problem.contraction_factor) ** 2)
     assert is_confirmed_exactly(problem, found)
     assert not is_confirmed_exactly(faster, found)
 
@@ -141,7 +141,7 @@ def test_the_game_has_the_cost_of_the_inequality(side: str, ball: JacobianBall, 
 @pytest.mark.parametrize(("side", "ball"), list(product(SIDES, (WIDE, KNOWN))))
 def test_the_gradient_is_that_of_the_goal(side: str, ball: JacobianBall, barrier: float) -> None:
     problem = asked(drawn(2, m=2), side, ball, 0.1)
-    game = Game(problem=problem, r=problem.contraction)
+    game = RiccatiGame(problem=problem, r=problem.contraction_factor)
     logs, reached = continue_to_rate(game, *TRIES[0])
     assert reached == game.r
     logs = logs + 0.1
@@ -239,7 +239,7 @@ def test_integrators_are_states_like_others() -> None:
     problem = asked(system, "state_feedback", WIDE, 0.02)
     found = least_guaranteed_cost(problem)
     assert is_confirmed_exactly(problem, found)
-    assert sampled(system, "state_feedback", WIDE, found) <= problem.contraction
+    assert sampled(system, "state_feedback", WIDE, found) <= problem.contraction_factor
     linears = map(system.linearise_at_slopes, system.slope_corners())
     alone = [linear.a for linear in linears]
     assert all(np.abs(np.linalg.eigvals(a)).max() > 1 - 1e-12 for a in alone)

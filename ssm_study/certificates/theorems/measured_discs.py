@@ -150,7 +150,8 @@ class MeasuredDiscs(Theorem):
     @staticmethod
     def disc_constraint(proof: Any, signals: Any) -> Any:
         """Quadratic form of the closed loop's signals that is negative where the model error lies
-        in the measured disc. `|e - c m|^2 - kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)`."""
+        within the certified disc around a centre. `|e - c m|^2 - kappa^2 (floor^2 |m|^2 + |W m|^2 +
+        |V u|^2)`."""
         deviation = signals.e - proof.centre * signals.m
         output_power = signals.m.T @ signals.m
         weighted_output_power = signals.w_m.T @ signals.w_m

@@ -11,7 +11,10 @@ from ssm_study.signals import DataSet
 from ssm_study.study.stages.files import read_json, write_json
 from ssm_study.study.stages.free_run import ModelRun
 from ssm_study.study.stages.synthesis import recorded_error_spectra
-from ssm_study.synthesis.measured_discs_run import fresh_data_column, radii_needed_by_fresh_data
+from ssm_study.synthesis.measured_discs_run import (
+    coverage_needed_column,
+    relative_radii_for_further_data,
+)
 
 FILE = "fresh_data.json"
 
@@ -32,7 +35,7 @@ def compute_fresh_data(
     model = model_run.model
     premise = recorded_error_spectra(model, records, mismatch)
     fresh = data.simulate_fresh_sets(plant, seed)
-    needs = radii_needed_by_fresh_data(
+    needs = relative_radii_for_further_data(
         design, model, premise, mismatch, fresh, records.start_up_samples
     )
     write_json(folder / FILE, {"needs": [repr(need) for need in needs]})
@@ -47,7 +50,7 @@ def read_fresh_data_needs(folder: Path) -> list[float]:
 def fresh_data_result_columns(needs: list[float], *_: Any) -> Facts:
     """Table column with the largest ratio of the model error in data sets simulated anew to the
     recorded one."""
-    return fresh_data_column(needs)
+    return coverage_needed_column(needs)
 
 
 FRESH_DATA = Stage(

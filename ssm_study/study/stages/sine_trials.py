@@ -16,7 +16,7 @@ from ssm_study.signals import DataSet
 from ssm_study.study.stages.files import read_json, write_json
 from ssm_study.study.stages.free_run import ModelRun
 from ssm_study.synthesis.sine_judgement import (
-    measure_simulated_sines,
+    measure_error_with_simulated_sines,
     sine_columns,
     sine_coverage_columns,
 )
@@ -41,7 +41,7 @@ def compute_sine_trials(
     del records, judgement
     model = model_run.model
     balls = certified_balls(model)
-    sines = measure_simulated_sines(design, model, balls, mismatch, data, plant, seed)
+    sines = measure_error_with_simulated_sines(design, model, balls, mismatch, data, plant, seed)
     rows = [{name: repr(value) for name, value in asdict(sine).items()} for sine in sines]
     write_json(folder / FILE, {"sines": rows})
 
