@@ -65,6 +65,7 @@ NAMES: Mapping[str, str] = {
         "robustness.sensitivity.controller_spectral_radius"
     ),
     "certificates.certificate.OfProblem": "certificates.certificate.ProblemCertificate",
+    "certificates.certificate.Side": "certificates.certificate.GainTheorem",
     "bounds.frequency.largest_gains": "bounds.frequency.largest_gains",
     "bounds.gramians.balance": "bounds.gramians.balanced_realization",
     "bounds.gramians.gramian": "bounds.gramians.controllability_gramian",
@@ -148,7 +149,7 @@ METHODS: Mapping[str, Mapping[str, str]] = {
         "posed": "as_problem",
         "rate_limit_of": "largest_provable_rate",
     },
-    "certificates.certificate.Side": {
+    "certificates.certificate.GainTheorem": {
         "at_largest_rate": "certificate_at_largest_rate",
         "ball": "required_ball",
         "numbers_of": "certificate_numbers",

@@ -216,7 +216,7 @@ class OldModules(MetaPathFinder):
         inner = fullname.removeprefix(f"{OURS}.")
         if inner not in _modules_with_renames():
             return None
-        spec = _find_with_other_finders(fullname, path)
+        spec = _find_module_spec(fullname, path)
         if spec is not None and spec.loader is not None:
             execute = spec.loader.exec_module
 
@@ -229,7 +229,7 @@ class OldModules(MetaPathFinder):
         return spec
 
 
-def _find_with_other_finders(fullname: str, path: Any) -> ModuleSpec | None:
+def _find_module_spec(fullname: str, path: Any) -> ModuleSpec | None:
     """Module specification that the other import hooks find for a module name."""
     for finder in sys.meta_path:
         if not isinstance(finder, OldModules):

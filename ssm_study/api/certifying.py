@@ -25,7 +25,7 @@ from ssm_study.api.missing_rate import (
 )
 from ssm_study.api.summaries import html_table, render_text_table, round_rate_down
 from ssm_study.api.systems import read_columns, read_linear_system, read_matrix
-from ssm_study.certificates.certificate import Side
+from ssm_study.certificates.certificate import GainTheorem
 from ssm_study.certificates.decay_time import decay_time_text
 from ssm_study.certificates.frontier import contraction_frontier
 from ssm_study.certificates.problem import (
@@ -69,7 +69,7 @@ class GainCertificate:
     """
 
     rate: float | None
-    certificate: Side | None
+    certificate: GainTheorem | None
     rate_of_gain: float
     rate_limit: float
     rate_without: float
@@ -309,7 +309,7 @@ def certify_gain(
     b: Float[np.ndarray, "n m"],
     k: Float[np.ndarray, "m n"],
     ball: JacobianBall,
-    theorem: type[Side],
+    theorem: type[GainTheorem],
 ) -> GainCertificate:
     """Find the largest contraction rate that a given gain achieves, and prove it in exact
     arithmetic.
@@ -357,8 +357,8 @@ def _prove_rate(
     slack: float,
     supremum: float,
     limit: float,
-    theorem: type[Side],
-) -> Side | None:
+    theorem: type[GainTheorem],
+) -> GainTheorem | None:
     """Certificate that a gain achieves a required contraction rate; None if no quadratic metric is
     found."""
     started = time.perf_counter()
@@ -373,7 +373,7 @@ def _prove_rate(
         return None
     solution = Solution(p=p, y=p, k=k, sigma=1.0, status="bounded-real equation")
     numbers = theorem.certificate_numbers(problem, solution)
-    part: Side = theorem.from_numbers(
+    part: GainTheorem = theorem.from_numbers(
         numbers, rate_limit=limit, method="given", status=solution.status, started=started
     )
     return part

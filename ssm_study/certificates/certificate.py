@@ -39,7 +39,7 @@ LETTERS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Side(Theorem, abstract=True):
+class GainTheorem(Theorem, abstract=True):
     """Base class of certificates of one gain matrix, either the controller's or the observer's.
     Distances shrink by `r = sqrt(1 - rate)` a sample, for every Jacobian in the ball.
 
@@ -81,7 +81,7 @@ class Side(Theorem, abstract=True):
         it is that of `S_u`, for an observer that of `S_y`."""
         return context.balls.output if cls.observes else context.balls.input
 
-    def certificate_at_largest_rate(self) -> "Side | None":
+    def certificate_at_largest_rate(self) -> "GainTheorem | None":
         """Certificate of a larger contraction rate for the same gain matrix; None if no larger rate
         can be proved."""
         return None
@@ -93,7 +93,7 @@ class Side(Theorem, abstract=True):
         stores."""
 
 
-class ProblemCertificate(Side, abstract=True):
+class ProblemCertificate(GainTheorem, abstract=True):
     """Mixin for certificates that prove the same matrix inequality that the synthesis solved. It
     stands beside `StateFeedback` or `Observer` and serves theorems whose fields have the symbols of
     `LETTERS`."""
@@ -191,7 +191,7 @@ class ProblemCertificate(Side, abstract=True):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StateFeedback(Side, abstract=True):
+class StateFeedback(GainTheorem, abstract=True):
     """Certificate that a state feedback `u = K x` makes the model contract in a metric. The metric
     is `M = P^{-1}`: the inequalities are linear in `p (n, n)`.
 
@@ -208,7 +208,7 @@ class StateFeedback(Side, abstract=True):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Observer(Side, abstract=True):
+class Observer(GainTheorem, abstract=True):
     """Certificate that an observer makes the estimation error contract in a metric Q."""
 
     c: Float[np.ndarray, "p n"]
@@ -313,7 +313,7 @@ class Design:
         """Gain matrices present in a design, by symbol: `k`, `l` and `l_z`."""
         gains = dict[str, Float[np.ndarray, "r c"]]()
         for part in (self.state_feedback, self.observer):
-            if isinstance(part, Side):
+            if isinstance(part, GainTheorem):
                 gains |= part.gains
         return gains
 
@@ -322,7 +322,7 @@ class Design:
         rate is proved."""
         part = self.certificates_by_name[side]
         deployed_part = self.extra_certificates.get(f"{side}_deployed")
-        certificates = [one for one in (part, deployed_part) if isinstance(one, Side)]
+        certificates = [one for one in (part, deployed_part) if isinstance(one, GainTheorem)]
         rates = [certificate.rate for certificate in certificates if certificate.certified]
         return max(rates, default=None)
 

@@ -234,7 +234,7 @@ class Device:
             return products + controller.k.size + 3 * inputs
         inverses = _count_inverse_products(points.inward) + _count_inverse_products(points.outward)
         parts = points.equilibrium_maps.values()
-        reaching = sum(_count_equilibrium_products(part) for part in parts)
+        reaching = sum(_count_multiplications(part) for part in parts)
         return products + reaching + inverses + maps + 2 * inputs
 
     def equilibrium_state(self, output: Vector) -> Vector:
@@ -365,7 +365,7 @@ def _count_inverse_products(inverse_map: InverseMap) -> int:
     return inverse_map.matrix.size
 
 
-def _count_equilibrium_products(equilibrium_map: Any) -> int:
+def _count_multiplications(equilibrium_map: Any) -> int:
     """Number of multiplications in one evaluation of a map from set points to equilibria."""
     if isinstance(equilibrium_map, PiecewiseLinear):
         return equilibrium_map.slopes.shape[1]

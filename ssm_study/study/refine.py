@@ -50,7 +50,7 @@ def refine(run: Path, log: Path | None = None, iterations: int = TIMES) -> Itera
     files = _check_refinable_run(run, log)
     for _ in range(1 if log else iterations):
         trial = _measure_trial(files, log)
-        if trial.ends_refinement:
+        if trial.is_refinement_complete:
             yield RefinementStep(said=trial.end_sentence)
             return
         config = _next_configuration(files, log)
@@ -123,7 +123,7 @@ class TrialMismatch:
     coverage: float | None
 
     @property
-    def ends_refinement(self) -> bool:
+    def is_refinement_complete(self) -> bool:
         """Whether the refinement of a controller ends: the loop comes to rest, or the stability
         proof covers the trial's model error."""
         return self.gain == 0 or (self.coverage is not None and self.coverage >= 1)

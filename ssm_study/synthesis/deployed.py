@@ -19,9 +19,9 @@ from ssm_study.bounds.network import invert_map
 from ssm_study.certificates.certificate import (
     OF_LIMITS,
     Design,
+    GainTheorem,
     Infeasible,
     ProblemCertificate,
-    Side,
     StateFeedback,
 )
 from ssm_study.certificates.problem import NoSolution, linear_algebra_failures_as_no_solution
@@ -99,11 +99,11 @@ def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem
     return certificate_or_none(find)
 
 
-def certificate_at_largest_rate(certificate: Side) -> Side | None:
+def certificate_at_largest_rate(certificate: GainTheorem) -> GainTheorem | None:
     """Certificate of the largest contraction rate provable for an already certified gain; None if
     no larger rate than before is proved.
 
-    A plug-in's theorem says itself how (`Side.certificate_at_largest_rate`).
+    A plug-in's theorem says itself how (`GainTheorem.certificate_at_largest_rate`).
     """
     if not isinstance(certificate, ProblemCertificate):
         return certificate.certificate_at_largest_rate()

@@ -17,10 +17,10 @@ import numpy as np
 from ssm_study.certificates.certificate import (
     SIDES,
     Design,
+    GainTheorem,
     Infeasible,
     Observer,
     ProblemCertificate,
-    Side,
     StateFeedback,
     certificate_digest,
 )
@@ -60,7 +60,7 @@ FRONTIER_ROUNDING = (
 class DesignAttempt:
     """Attempt to design a controller or an observer at a requested contraction rate."""
 
-    theorem: type[Side]
+    theorem: type[GainTheorem]
     rate: float
     ball: JacobianBall
     frontier: Frontier
@@ -149,7 +149,7 @@ class DesignAttempt:
         Matrices that floats could have held are handed on as found, not certified; hopeless ones
         are refused.
         """
-        best: Side | None = None
+        best: GainTheorem | None = None
         status = "no attempt"
         for attempt in attempts:
             try:
@@ -213,7 +213,7 @@ def failed_checks(
     ) in (
         design.extra_certificates.items()
     ):  # what is proved beside a side is of the gains that are deployed
-        own = again.gains.items() if isinstance(again, Side) else ()
+        own = again.gains.items() if isinstance(again, GainTheorem) else ()
         if not all(np.array_equal(gain, design.gains.get(letter, np.nan)) for letter, gain in own):
             broken.append(f"{label}: the gain is not the one that is deployed")
     for side in SIDES:
@@ -347,7 +347,7 @@ class Synthesis(ABC):
         theorem = StructuredObserver if neurons else self.observer_theorem
         return self._design_gain(theorem, system, ball)
 
-    def _design_gain(self, theorem: type[Side], system: System, ball: JacobianBall) -> Any:
+    def _design_gain(self, theorem: type[GainTheorem], system: System, ball: JacobianBall) -> Any:
         """Certificate of one gain by a given theorem, or the reason why there is none."""
         rate = self.rate_observer if theorem.observes else self.rate_controller
         limit = controller_frontier(dual_system(system) if theorem.observes else system, ball)

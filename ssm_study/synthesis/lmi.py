@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.certificates.certificate import Side
+from ssm_study.certificates.certificate import GainTheorem
 from ssm_study.certificates.frontier import Frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution, symmetric_part
 from ssm_study.certificates.semidefinite import SOLVERS, solve_program
@@ -169,7 +169,10 @@ class LmiSynthesis(Synthesis):
 
 
 def certificate_from_paper_lmi(
-    system: StateSpace, ball: JacobianBall, rate: float, theorem: type[Side] = StateFeedbackOfBall
+    system: StateSpace,
+    ball: JacobianBall,
+    rate: float,
+    theorem: type[GainTheorem] = StateFeedbackOfBall,
 ) -> Any:
     """Contraction certificate from the linear matrix inequality exactly as [Z26] prints it.
     Any solution with the block matrix `>= I` is taken.

@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.certificates.certificate import LETTERS, Side
+from ssm_study.certificates.certificate import LETTERS, GainTheorem
 from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, symmetric_part
 from ssm_study.certificates.semidefinite import solve_program
 from ssm_study.certificates.theorem import Blocks
@@ -167,7 +167,7 @@ def _delete_block_rows(upper_blocks: Blocks, deleted_indices: list[int]) -> Bloc
 def is_confirmed_exactly(problem: Problem, solution: Solution) -> bool:
     """Whether exact arithmetic confirms the matrices that a solver returned for a model with
     neurons."""
-    theorem: type[Side] = structured_state_feedback.StructuredStateFeedback
+    theorem: type[GainTheorem] = structured_state_feedback.StructuredStateFeedback
     if problem.required_neurons.observes:
         theorem = structured_observer.StructuredObserver
     numbers = theorem.certificate_numbers(problem, solution)
@@ -217,7 +217,7 @@ def _confirmed_solution(program: StructuredLmi, problem: Problem, rate: float) -
         return None
 
 
-def certify_largest_rate(certificate: Any) -> Side | None:
+def certify_largest_rate(certificate: Any) -> GainTheorem | None:
     """Certificate of the largest contraction rate that can be proved for the certified gain of a
     model with neurons."""
     started = time.perf_counter()
@@ -234,7 +234,7 @@ def certify_largest_rate(certificate: Any) -> Side | None:
         return None
     numbers = certificate.certificate_numbers(faster, solution)
     status = f"{solution.status}, {INSIDE:.1%} inside the largest rate"
-    proved: Side = certificate.from_numbers(
+    proved: GainTheorem = certificate.from_numbers(
         numbers,
         status=status,
         started=started,

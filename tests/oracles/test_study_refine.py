@@ -155,17 +155,17 @@ def test_a_loop_within_the_proof_needs_no_other_choice(first, second):
     files = RunFiles(path=first, record=read_record(first))
     swings = _measure_trial(files, None)
     assert swings.gain > 0
-    assert not swings.ends_refinement
+    assert not swings.is_refinement_complete
     changed_swings = replace(swings, coverage=1.234)
-    assert changed_swings.ends_refinement
+    assert changed_swings.is_refinement_complete
     changed_swings = replace(swings, coverage=1.234)
     end_sentence = changed_swings.end_sentence
     assert "1.23 times" in end_sentence
     changed_swings = replace(swings, coverage=0.999)
-    assert not changed_swings.ends_refinement
+    assert not changed_swings.is_refinement_complete
     files = RunFiles(path=second, record=read_record(second))
     rests = _measure_trial(files, None)
-    assert rests.ends_refinement
+    assert rests.is_refinement_complete
     assert "comes to rest" in rests.end_sentence
 
 

@@ -46,7 +46,7 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.bounds.frequency import hinf_norm
-from ssm_study.certificates.certificate import Side
+from ssm_study.certificates.certificate import GainTheorem
 from ssm_study.certificates.problem import NoSolution, Solution
 from ssm_study.certificates.riccati import SLACK, least_metric
 from ssm_study.systems import JacobianBall, StateSpace
@@ -103,7 +103,7 @@ def largest_rate(
     return float(1 - np.exp(2 * root))
 
 
-def certificate_at_largest_rate(certificate: Any) -> Side | None:
+def certificate_at_largest_rate(certificate: Any) -> GainTheorem | None:
     """Certificate of the largest contraction rate provable for an already certified gain; None if
     no larger rate than before is proved."""
     started = time.perf_counter()
@@ -130,7 +130,7 @@ def certificate_at_largest_rate(certificate: Any) -> Side | None:
         new_solution = Solution(p=p, y=p, k=solution.k, sigma=1.0, status=status)
         numbers = certificate.certificate_numbers(slower_problem, new_solution)
         information = {"rate_limit": certificate.rate_limit, "method": certificate.method}
-        proved: Side = certificate.from_numbers(
+        proved: GainTheorem = certificate.from_numbers(
             numbers, status=status, started=started, **information
         )
         if proved.certified:

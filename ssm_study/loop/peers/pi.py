@@ -179,5 +179,6 @@ class PiPeer(Peer, names=("pi",)):
     """Comparison method with a PI controller that is tuned by Tyreus and Luyben's rule."""
 
     def build(self, plant: Plant, identified: Identified, rate: float) -> PI:
-        """PI controller for the identified model, tuned by Tyreus and Luyben's rule."""
+        """Build the PI controller of an identified model, tuned by the rule of Tyreus and
+        Luyben."""
         return tyreus_luyben_pi(identified.linear_model)
