@@ -190,7 +190,7 @@ class IdentifiedCase:
         if not design.feasible:
             return facts
         balls = certified_balls(self.model)
-        prediction = predict_margins(self.model, design.pair, balls, self.mismatch)
+        prediction = predict_margins(self.model, design.gain_pair, balls, self.mismatch)
         facts["predicted"] = prediction.predicts_stability(self.parts.synthesis.margin)
         controller = ObserverFeedback.from_design(self.model, design)
         loop = self.parts.loop.with_default_horizon(self.model)

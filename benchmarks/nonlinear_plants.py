@@ -57,7 +57,7 @@ def row(name: str, plant: Plant, model: str, seed: int) -> str:
     if not design.feasible:
         head = f"{name},{asked[0][6:]},{seed},{np.mean(fit):.2f},{shown.largest_recorded_gain:.3f}"
         return f"{head},,,,,,{design.certified}"
-    predicted = predict_margins(made, design.pair, balls, shown)
+    predicted = predict_margins(made, design.gain_pair, balls, shown)
     facts = behaviour_columns(
         parts.loop.with_default_horizon(made).run_design(plant, made, design, parts.loop_seed)
     )

@@ -65,7 +65,7 @@ def row(plant: str, kind: str, seed: int, settings: list[str]) -> dict[str, Any]
     about |= {"rate_observer": f"{design.observer.rate:.3g}"}
     if not design.feasible:
         return about
-    predicted = predict_margins(made, design.pair, balls, shown)
+    predicted = predict_margins(made, design.gain_pair, balls, shown)
     about |= {
         "margin": f"{predicted.resolved_margin:.2f}",
         "predicted": "" if silent else predicted.predicts_stability(),

@@ -140,7 +140,7 @@ class Design:
         )
         evidence = self.origin.evidence
         if self.certificate.feasible:
-            facts = withhold_coverage(facts, self.model, self.certificate.pair)
+            facts = withhold_coverage(facts, self.model, self.certificate.gain_pair)
         facts = withhold_predictions(facts, evidence.level)
         facts |= {"evidence": evidence.level, "evidence_reasons": evidence.reasons}
         return facts
@@ -190,7 +190,7 @@ class Design:
 
         Per sample, with the slopes of the maps and of the neurons at rest.
         """
-        gains = self.certificate.pair
+        gains = self.certificate.gain_pair
         return eigenvalue_groups(self.model, gains)
 
     def within_limits(self, lower: Values, upper: Values) -> RangeWithinLimits:
@@ -325,7 +325,7 @@ class Design:
 
         origin = self._model_with_records()
         balls = certified_balls(self.model)
-        pair = self.certificate.pair
+        pair = self.certificate.gain_pair
         curves = margin_curves(self.model, pair, balls, origin.mismatch)
         margin = self.facts.get("resolved_margin")
         scale = physical_input_scale(self.model, origin.data.inputs[0].unit)
@@ -362,7 +362,7 @@ class Design:
         warn_of_unknown_maps(self.unknown_maps)
         mismatch = None if self.origin is None else self.origin.mismatch
         return draw_or_refuse(
-            "nyquist", lambda: nyquist_picture(self.model, self.certificate.pair, mismatch)
+            "nyquist", lambda: nyquist_picture(self.model, self.certificate.gain_pair, mismatch)
         )
 
     def poles(self) -> Any:

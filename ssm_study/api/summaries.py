@@ -205,7 +205,7 @@ def summarise_input_limits(facts: dict[str, Any], open_loop_rate: float) -> dict
 
 def summarise_assumptions(certificate: Certificates) -> dict[str, str]:
     """Summary lines on the assumptions about the static maps of a system given as matrices."""
-    feedback, observer = certificate.parts()
+    feedback, observer = certificate.controller_and_observer()
     assumed = {}
     for name, part in (("input map", feedback), ("output map", observer)):
         lower = part.alpha - part.beta

@@ -279,7 +279,7 @@ class Design:
         sides = (self.state_feedback, self.observer)
         return not any(isinstance(part, Infeasible) for part in sides)
 
-    def parts(self) -> tuple[StateFeedback, Observer]:
+    def controller_and_observer(self) -> tuple[StateFeedback, Observer]:
         """Pair of a design's certificates, first the controller's and then the observer's. Raises
         `BadRequest` with the reason where one is infeasible."""
         for name in SIDES:
@@ -290,10 +290,10 @@ class Design:
         return self.state_feedback, self.observer  # type: ignore[return-value]  # Infeasible has just been refused
 
     @property
-    def pair(self) -> Gains:
+    def gain_pair(self) -> Gains:
         """Gains of the controller and the observer of a design. Raises `BadRequest` with the reason
         where one of them is infeasible."""
-        feedback, observer = self.parts()
+        feedback, observer = self.controller_and_observer()
         n = len(observer.l)
         l_z = getattr(observer, "l_z", None)
         internal = feedback.a[n:, n:] if len(feedback.a) > n else None

@@ -165,7 +165,7 @@ def convert_controller(model: Model, design: Design) -> PortableController:
     model.
     """
     _refuse_unexportable_design(design)
-    gains = design.pair
+    gains = design.gain_pair
     modes = gains.modes
     linear = model.linear
     n = model.order

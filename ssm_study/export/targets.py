@@ -282,7 +282,7 @@ def failed_certificate_claims(run: Path, model: Model, design: Design) -> list[s
     content = json.loads((run / "certificate.json").read_text())
     try:
         # Refused for an internal model behind a nonlinear output map, which no theorem covers.
-        controlled = controlled_system(model, design.parts()[0])
+        controlled = controlled_system(model, design.controller_and_observer()[0])
     except BadRequest as refused:
         return [str(refused)]
     return failed_checks(content, model.system, certified_balls(model), controlled)

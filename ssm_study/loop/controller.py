@@ -200,7 +200,7 @@ class ObserverFeedback(EstimateFeedback):
     def from_design(cls, model: Model, design: Design) -> "ObserverFeedback":
         """Controller that applies the gains of a certified design. Raises `BadRequest` if one of
         its parts is infeasible."""
-        return cls(model=model, gains=design.pair)
+        return cls(model=model, gains=design.gain_pair)
 
     def reference_targets(self, reference: Reference) -> Plan:
         """Trajectory of states, inputs and outputs of the model that follows the reference."""

@@ -66,8 +66,8 @@ class DesignGrid(ComparisonTable):
         number = 1
         if chosen.feasible:
             number = 0
-            gains = _prepend_gains(chosen.pair, gains)
-            both_parts = chosen.parts()
+            gains = _prepend_gains(chosen.gain_pair, gains)
+            both_parts = chosen.controller_and_observer()
             feedback, observer = both_parts[:2]
             certified_rates = (feedback.rate, observer.rate)
             rates.insert(0, certified_rates)

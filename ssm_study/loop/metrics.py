@@ -310,7 +310,7 @@ def certificate_columns(loop: LoopRuns, design: Design) -> Columns:
     if model is None:
         return dict.fromkeys(CERTIFIED)
     plant = loop.controlled
-    parts = design.parts()
+    parts = design.controller_and_observer()
     beyond = None
     if np.allclose(plant.reference, model.reference):
         x0 = model.states[:, 0]

@@ -96,7 +96,7 @@ class RunFolder:
     @property
     def gains(self) -> Gains | None:
         """Gains of a run's controller and observer; None if one of them is missing."""
-        return self.design.pair if self.design is not None and self.design.feasible else None
+        return self.design.gain_pair if self.design is not None and self.design.feasible else None
 
     @property
     def start_up_samples(self) -> int:

@@ -232,7 +232,7 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
     is_old = run.record_version < VERSION
     if not design.feasible or (is_old and run.record.get("coverage") is not None):
         return facts  # true of the proof; a run of before such numbers were withheld has them
-    return withhold_coverage(facts, run.model, design.pair)
+    return withhold_coverage(facts, run.model, design.gain_pair)
 
 
 def is_search_repeated(run: RunFiles) -> bool:

@@ -222,7 +222,7 @@ class RunFiles:
             return ()
         if not self.design.feasible:
             return ()
-        angles = peak_frequencies(self.model, self.design.pair, certified_balls(self.model))
+        angles = peak_frequencies(self.model, self.design.gain_pair, certified_balls(self.model))
         return tuple(angles[:PEAKS])
 
     @property

@@ -200,7 +200,7 @@ class Auto:
         ) -> Design | None:
             """Search near the gains of one design for gains whose certificate holds for the
             recorded model error."""
-            first_area = search.response_area(first_design.pair)
+            first_area = search.response_area(first_design.gain_pair)
             largest_area = min(slower * first_area, FASTER)
             return search.improve_design(best_covered_design, target_coverage, rounds, largest_area)
 
@@ -293,7 +293,9 @@ class CertifiedDesigns:
         design = specification.design(response.model, response.balls)
         if not design.certified:
             return None
-        prediction = predict_margins(response.model, design.pair, response.balls, response.mismatch)
+        prediction = predict_margins(
+            response.model, design.gain_pair, response.balls, response.mismatch
+        )
         if not prediction.predicts_stability(response.margin):
             return None
         self.has_faster = self.has_faster or ranked.is_faster

@@ -129,14 +129,14 @@ class GainSearch:
         assert isinstance(feedback, StateFeedback)
         controlled = controlled_system(self.model, feedback)
         loop = LoopCoverage.from_model(self.model, controlled, self.balls, self.premise)
-        start_gains = gain_matrices_by_symbol(start_design.pair)
+        start_gains = gain_matrices_by_symbol(start_design.gain_pair)
         coverage, centre = loop.largest_disc_radius(start_gains)
-        area = self.response_area(start_design.pair)
-        best = ScoredGains(gains=start_design.pair, area=area, coverage=coverage)
+        area = self.response_area(start_design.gain_pair)
+        best = ScoredGains(gains=start_design.gain_pair, area=area, coverage=coverage)
         allowed = max(largest_area, area)
         random = np.random.default_rng(SEED)
         step = FIRST_STEP
-        first_gains = [start_design.pair]
+        first_gains = [start_design.gain_pair]
         first_ratios = self._settling_time_ratios(first_gains)
         slowest = max(FASTER, first_ratios[0])
         reached = [best.coverage]
@@ -233,7 +233,7 @@ class GainSearch:
     def certify_gains(self, start_design: Design, gains: Gains) -> Design | None:
         """Design with given gains, certified at the largest contraction rates that can be proved
         for them. None if a certificate is missing."""
-        feedback, observer = start_design.parts()
+        feedback, observer = start_design.controller_and_observer()
         new_feedback = certify_replaced_gains(feedback, k=gains.k)
         injected: dict[str, Any] = {"l": gains.l}
         if gains.l_z is not None:

@@ -239,7 +239,7 @@ def prove_within_input_limits(
 ) -> RangeWithinLimits:
     """Prove what a design achieves while its input stays within given physical limits. Raises
     `BadRequest` if nothing can be proved."""
-    design.parts()
+    design.controller_and_observer()
     rest = model.scale.input_equilibrium
     lowest = lower.tolist()
     highest = upper.tolist()

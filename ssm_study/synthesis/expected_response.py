@@ -206,5 +206,5 @@ def faster_response_column(
     without a design."""
     if not design.feasible:
         return {}
-    predicted_faster = predicts_faster_response(model, design.pair, mismatch, *records)
+    predicted_faster = predicts_faster_response(model, design.gain_pair, mismatch, *records)
     return {"predicted_faster": predicted_faster}

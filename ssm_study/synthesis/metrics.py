@@ -150,9 +150,9 @@ def design_columns(
     tolerance = design.extra_certificates.get(TOLERANCE)
     facts["certified_tolerance"] = getattr(tolerance, "tolerated_gain", None)
     facts |= input_limit_columns(design, model)
-    facts["noise_gain_model"] = noise_gain(model.system, design.pair, balls)
+    facts["noise_gain_model"] = noise_gain(model.system, design.gain_pair, balls)
     facts |= mismatch_columns(mismatch)
-    prediction = predict_margins(model, design.pair, balls, mismatch)
+    prediction = predict_margins(model, design.gain_pair, balls, mismatch)
     facts |= vars(prediction)
     facts["predicted_stable"] = prediction.predicts_stability()
     return facts

@@ -40,10 +40,10 @@ def spectral_lines_to_test(
     `only_peaks`: those of earlier runs."""
     if not design.feasible or not mismatch.noise:
         return []
-    lines = sensitive_spectral_lines(model, design.pair, balls, period)
+    lines = sensitive_spectral_lines(model, design.gain_pair, balls, period)
     if only_peaks:
         return lines
-    deciding = line_of_smallest_margin(model, design.pair, balls, mismatch, period)
+    deciding = line_of_smallest_margin(model, design.gain_pair, balls, mismatch, period)
     if deciding is not None and deciding not in lines:
         lines.append(deciding)
     return lines
@@ -76,9 +76,9 @@ def sine_columns(
     empty if no such experiment was made."""
     if not sines:
         return {}
-    without = predict_margins(model, design.pair, balls, mismatch)
+    without = predict_margins(model, design.gain_pair, balls, mismatch)
     mismatch_with_sines = add_sines_to_mismatch(mismatch, sines)
-    prediction = predict_margins(model, design.pair, balls, mismatch_with_sines)
+    prediction = predict_margins(model, design.gain_pair, balls, mismatch_with_sines)
     is_stable_without = without.predicts_stability()
     both = is_stable_without and prediction.predicts_stability()
     return {"sine_margin": prediction.resolved_margin, "predicted_stable": both}

@@ -31,7 +31,7 @@ def reported_coverage(design: Design, model: Model, premise: ModelErrorSpectra) 
     missing or withheld."""
     facts = coverage_columns(design, model, premise)
     if design.feasible:
-        facts = withhold_coverage(facts, model, design.pair)
+        facts = withhold_coverage(facts, model, design.gain_pair)
     coverage: float | None = facts.get("coverage")
     return coverage
 

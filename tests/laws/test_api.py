@@ -322,7 +322,7 @@ def test_certify_proves_what_sampled_slopes_do() -> None:
 
 def test_certify_agrees_with_the_deployed_rate(design: Design) -> None:
     """Two routes to one number: the design's own largest rate, and gains given from outside."""
-    feedback, observer = design.certificate.parts()
+    feedback, observer = design.certificate.controller_and_observer()
     lower = feedback.alpha - feedback.beta
     upper = feedback.alpha + feedback.beta
     slopes = (lower, upper)

@@ -41,7 +41,7 @@ SMALL = Auto(
 
 def predicted(design: Design, record: Trajectory) -> Prediction:
     return predict_margins(
-        motor_model(), design.pair, BALLS, measure_model_error(motor_model(), (record,))
+        motor_model(), design.gain_pair, BALLS, measure_model_error(motor_model(), (record,))
     )
 
 
@@ -101,7 +101,7 @@ def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_
             for a, p in zip(areas, found, strict=True)
         ]
     )
-    own = auto.design(given, balls, (record,), shown).pair
+    own = auto.design(given, balls, (record,), shown).gain_pair
     k = own.k[None]
     l_z = None if own.l_z is None else own.l_z[None]
     one = replace(own, k=k, l=own.l[None], l_z=l_z)

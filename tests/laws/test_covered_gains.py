@@ -77,7 +77,7 @@ def test_the_search_gives_the_same_gains_again(search) -> None:
     expected = again.gains.k
     np.testing.assert_array_equal(actual, expected)
     gains_k = first.gains.k
-    pair_k = FAST.pair.k
+    pair_k = FAST.gain_pair.k
     assert not np.array_equal(gains_k, pair_k)
 
 
@@ -89,7 +89,7 @@ def test_covered_gains_are_made_faster_and_stay_covered(search, coverage_of_grid
     target = 0.8 * coverage_of_grid
     slow = design(input_weight=30.0)
     faster = search.improve_design(slow, target, rounds=2, largest_area=AREA_TOO_LARGE)
-    assert search.response_area(faster.pair) < search.response_area(slow.pair)
+    assert search.response_area(faster.gain_pair) < search.response_area(slow.gain_pair)
     assert tolerated_disc_radius(faster, SSM_MODEL, BALLS, PREMISE) >= target
 
 

@@ -192,7 +192,7 @@ def test_an_idle_controller_is_not_praised() -> None:
     assert "margin" not in text
     praised = summarise_prediction(facts, controller_acts=True)
     assert "2.7e+03 times" in praised["covered by the proof"]
-    gains = idle.certificate.pair
+    gains = idle.certificate.gain_pair
     covered = facts | {"coverage_reference": "input"}
     withheld = withhold_coverage(covered, idle.model, gains)
     assert withheld["coverage"] is None
@@ -206,7 +206,7 @@ def test_an_idle_controller_is_not_praised() -> None:
     summary_of_active = active.summary()
     comparison = summary_of_active["without control"]
     assert "rates below 0.189" in comparison
-    gains_of_active = active.certificate.pair
+    gains_of_active = active.certificate.gain_pair
     facts_of_active = withhold_coverage(facts, active.model, gains_of_active)
     assert facts_of_active == facts
 

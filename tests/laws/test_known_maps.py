@@ -26,7 +26,7 @@ def uncertain() -> Design:
 
 def loop_radius(design: Design, plant_slope: float, observer_slope: float) -> float:
     """Spectral radius of a plant with one slope under an observer that computes another."""
-    gains = design.certificate.pair
+    gains = design.certificate.gain_pair
     plant = np.hstack([A, plant_slope * B @ gains.k])
     correction = gains.l @ C
     own = A + observer_slope * B @ gains.k + correction
@@ -89,7 +89,7 @@ def test_a_known_gain_is_exported_with_the_design_s_own_verdict(
     text = path.read_text()
     words = "/* Controller pump, certified for its model at rates 0.3 (controller)"
     assert text.startswith(words)
-    gains = design.certificate.pair
+    gains = design.certificate.gain_pair
     state = np.array([0.3, -0.2])
     measured = np.zeros(1)
     controller = design.to_control()
@@ -119,10 +119,10 @@ def test_poles_of_a_design_are_those_at_the_middle_of_its_slopes() -> None:
     """Slope one may lie outside the range for which the design is certified."""
     lag = ([[0.9]], [[1.0]], [[0.1]], [[0.0]], 0.1)
     design = st.control(lag, rate=0.3, slopes=(0.4, 0.8))
-    gain = design.certificate.pair.k.item()
+    gain = design.certificate.gain_pair.k.item()
     poles = design.eigenvalues()
     assert poles["controlled"].item() == pytest.approx(0.9 + 0.6 * gain)
-    correction = design.certificate.pair.l.item()
+    correction = design.certificate.gain_pair.l.item()
     assert poles["estimate"].item() == pytest.approx(0.9 + 0.1 * correction)
     printed = design.summary()["slowest pole, observer"]
     assert printed == f"{abs(poles['estimate'].item()):.4f} per sample"

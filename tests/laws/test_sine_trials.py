@@ -74,7 +74,7 @@ def error_gain(line: int) -> float:
 
 def input_responses(angles: np.ndarray) -> np.ndarray:
     """Absolute response of the input to the error, in the fast design's loop."""
-    loop = error_to_input_response(SSM_MODEL.linear, FAST.pair, 1.0, 1.0)
+    loop = error_to_input_response(SSM_MODEL.linear, FAST.gain_pair, 1.0, 1.0)
     responses = frequency_response(loop, angles)
     return np.abs(responses[:, 0, 0])
 
@@ -115,9 +115,9 @@ def test_what_noise_hides_is_not_zero() -> None:
 
 
 def test_a_sine_that_shows_more_than_the_records_refutes_the_prediction() -> None:
-    before = predict_margins(SSM_MODEL, FAST.pair, BALLS, MISMATCH)
+    before = predict_margins(SSM_MODEL, FAST.gain_pair, BALLS, MISMATCH)
     assert before.predicts_stability()
-    first_line, *_ = sensitive_spectral_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
+    first_line, *_ = sensitive_spectral_lines(SSM_MODEL, FAST.gain_pair, BALLS, PERIOD)
     angle = 2 * np.pi * first_line / PERIOD
     angles = np.array([angle])
     (peak,) = input_responses(angles)
@@ -153,7 +153,7 @@ def test_a_sine_below_every_record_has_a_view_of_its_own() -> None:
 
 
 def test_the_trials_lie_at_the_peaks_of_the_sensitivity() -> None:
-    lines = sensitive_spectral_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
+    lines = sensitive_spectral_lines(SSM_MODEL, FAST.gain_pair, BALLS, PERIOD)
     assert 1 <= len(lines) <= 2
     angles = 2 * np.pi * np.arange(4, PERIOD // 2) / PERIOD
     size = input_responses(angles)
@@ -165,11 +165,11 @@ def test_the_trials_lie_at_the_peaks_of_the_sensitivity() -> None:
 def test_the_line_where_the_records_decide_the_margin_is_tried_last() -> None:
     """The frequency of the largest `g |T_ue|`, which the peak of `|T_ue|` alone may miss."""
     lines = spectral_lines_to_test(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)
-    at_peaks = sensitive_spectral_lines(SSM_MODEL, FAST.pair, BALLS, PERIOD)
+    at_peaks = sensitive_spectral_lines(SSM_MODEL, FAST.gain_pair, BALLS, PERIOD)
     assert lines[: len(at_peaks)] == at_peaks
     judged = (FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)
     assert spectral_lines_to_test(*judged, only_peaks=True) == at_peaks
-    deciding = line_of_smallest_margin(SSM_MODEL, FAST.pair, BALLS, MISMATCH, PERIOD)
+    deciding = line_of_smallest_margin(SSM_MODEL, FAST.gain_pair, BALLS, MISMATCH, PERIOD)
     assert deciding in lines
     view = MISMATCH.views[-1]
     gain_at_one_band = 1e-6 * np.ones(33)
@@ -178,7 +178,7 @@ def test_the_line_where_the_records_decide_the_margin_is_tried_last() -> None:
     everything_counts = {"linear": no_linear_part, "rest": gain_at_one_band}
     peaked = replace(view, by_frequency=gain_at_one_band, **everything_counts)
     mismatch = replace(MISMATCH, views=(peaked,))
-    line = line_of_smallest_margin(SSM_MODEL, FAST.pair, BALLS, mismatch, PERIOD)
+    line = line_of_smallest_margin(SSM_MODEL, FAST.gain_pair, BALLS, mismatch, PERIOD)
     assert line is not None
     angle = 2 * np.pi * line / PERIOD
     band_angle = 7 * np.pi / 32
@@ -191,7 +191,7 @@ def test_records_without_a_mismatch_decide_at_no_line() -> None:
     no_linear_part = 0 * view.linear
     silent = replace(view, by_frequency=zero, linear=no_linear_part, rest=zero)
     mismatch = replace(MISMATCH, views=(silent,))
-    line = line_of_smallest_margin(SSM_MODEL, FAST.pair, BALLS, mismatch, PERIOD)
+    line = line_of_smallest_margin(SSM_MODEL, FAST.gain_pair, BALLS, mismatch, PERIOD)
     assert line is None
 
 

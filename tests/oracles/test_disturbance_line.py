@@ -99,10 +99,10 @@ def test_verify_makes_the_fit_again_with_the_load(run: Path, tmp_path: Path) -> 
 def test_loops_contract_at_the_certified_rate_under_any_load(run: Path) -> None:
     """The bound of the certificate, between two loops in the place of loop and rest."""
     design = st.load(run)
-    feedback, observer = design.certificate.parts()
+    feedback, observer = design.certificate.controller_and_observer()
     for seed in range(3):
         load = far_disturbance(design.model, 80, seed)
-        gains = design.certificate.pair
+        gains = design.certificate.gain_pair
         apart = differences_of_loops(design.model, load, gains=gains)
         n = design.model.order
         x = apart[None, :, :n]

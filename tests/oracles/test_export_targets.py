@@ -62,7 +62,7 @@ def python_loop(run: Path, y: np.ndarray, limit: float = np.inf) -> np.ndarray:
     content = json.loads(text)
     model = model_from_json(content)
     design = Design.load(run / "certificate.json")
-    law = ObserverFeedback(model=model, gains=design.pair)
+    law = ObserverFeedback(model=model, gains=design.gain_pair)
     memory = law.initial_memory(1)
     m = model.scale.inputs
     output_equilibrium = model.scale.output_equilibrium

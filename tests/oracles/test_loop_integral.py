@@ -135,7 +135,7 @@ def test_the_certified_bound_holds_with_integrators(design):
     x_hat = result.on_model.estimate
     states = result.on_model.states
     x0 = states[:, 0]
-    assert relative_bound_excess(x_hat, x0, *design.parts()) == 0.0
+    assert relative_bound_excess(x_hat, x0, *design.controller_and_observer()) == 0.0
     assert (
         columns["certified_bound_excess_plant"] is None
     )  # the plant follows a reference, the model none
@@ -230,7 +230,7 @@ def test_auto_chooses_with_integral_action():
     state_feedback_k = chosen.state_feedback.k
     assert state_feedback_k.shape == (1, 3)
     shown = measure_model_error(motor_model(), (motor_record(),))
-    prediction = predict_margins(motor_model(), chosen.pair, BALLS, shown)
+    prediction = predict_margins(motor_model(), chosen.gain_pair, BALLS, shown)
     assert prediction.predicts_stability()
     loop = LOADED.run_design(motor(), motor_model(), chosen, seed=0)
     columns = behaviour_columns(loop)

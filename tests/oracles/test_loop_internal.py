@@ -171,7 +171,7 @@ def test_at_its_frequency_the_model_passes_no_load():
     passed = {}
     internal_models = (("step", "sine(0.5Hz)"), ("step",))
     for words in internal_models:
-        pair = made(*words).pair
+        pair = made(*words).gain_pair
         gains = []
         slopes = (INPUT_BALL.lower, INPUT_BALL.upper)
         for slope in slopes:
@@ -188,7 +188,7 @@ def test_at_its_frequency_the_model_passes_no_load():
 
 def test_the_margin_by_two_routes():
     model = motor_model()
-    pair = made("ramp", "sine(0.5Hz)").pair
+    pair = made("ramp", "sine(0.5Hz)").gain_pair
     angles = np.geomspace(1e-3, np.pi, 200)
     slopes = (INPUT_BALL.lower, INPUT_BALL.alpha, INPUT_BALL.upper)
     peaks = []
@@ -312,7 +312,7 @@ def test_a_mode_at_a_zero_of_the_model_is_refused():
 
 
 def test_a_gain_of_another_internal_model_is_refused():
-    pair = made("ramp").pair
+    pair = made("ramp").gain_pair
     internal = np.eye(3)
     changed_pair = replace(pair, internal=internal)
     with pytest.raises(BadRequest, match=r"needs a gain of shape \(1, 5\)"):

@@ -229,13 +229,13 @@ def test_a_loop_that_is_unstable_at_one_slope_has_no_margin():
     prediction = predict_margins(model, unstable, BALLS, mismatch)
     assert prediction.mismatch_margin == 0.0
     assert prediction.resolved_margin == 0.0
-    own = predict_margins(model, design.pair, BALLS, mismatch)
-    peak = control_sensitivity_peak(model.linear, design.pair, BALLS)
+    own = predict_margins(model, design.gain_pair, BALLS, mismatch)
+    peak = control_sensitivity_peak(model.linear, design.gain_pair, BALLS)
     expected = 1 / (mismatch.gain * peak)
     assert own.mismatch_margin == pytest.approx(expected)
     by_frequency = np.zeros(len(BANDS))
     none = flat(by_frequency, 0.0)
-    prediction = predict_margins(model, design.pair, BALLS, none)
+    prediction = predict_margins(model, design.gain_pair, BALLS, none)
     assert prediction.mismatch_margin == np.inf
 
 

@@ -136,8 +136,8 @@ def test_lqg_is_optimal_for_the_linear_part():
 def test_a_grid_of_gains_is_its_designs_one_by_one():
     design = motor_design()
     model = motor_model()
-    k = design.pair.k
-    l_ = design.pair.l
+    k = design.gain_pair.k
+    l_ = design.gain_pair.l
     ks = np.stack([k, 0.5 * k])
     ls = np.stack([l_, 0.7 * l_])
     gains = Gains(k=ks, l=ls)

@@ -129,7 +129,7 @@ def test_a_flat_mismatch_has_the_same_margin_either_way(seed):
     taps = np.array([0.0, 0.3])
     record = recorded(model, taps)
     mismatch = measure_model_error(model, (record,))
-    found = predict_margins(model, design.pair, ONES, mismatch)
+    found = predict_margins(model, design.gain_pair, ONES, mismatch)
     assert found.resolved_margin == pytest.approx(found.mismatch_margin, rel=0.1)
 
 
@@ -143,7 +143,7 @@ def test_what_pairs_share_changes_no_number(seed):
     shown = measure_model_error(model, (record,))
     for rate in (0.1, 0.3):
         riccati_synthesis = RiccatiSynthesis(rate_controller=rate, rate_observer=rate)
-        pair = riccati_synthesis.design(model, BALLS).pair
+        pair = riccati_synthesis.design(model, BALLS).gain_pair
         alone = worst_case_loop_gain(model, pair, BALLS, shown)
         shared_measure = worst_case_loop_gain(model, pair, BALLS, shown, shared)
         assert shared_measure == pytest.approx(alone, rel=1e-9)
@@ -263,7 +263,7 @@ def test_a_small_swing_does_not_meet_the_slope_at_the_limit(knee, passes):
     model = replace(motor_model(), scaffold_in=limit)
     ball = limit.bound().ball
     balls = replace(ONES, input=ball)
-    pair = motor_design().pair
+    pair = motor_design().gain_pair
     ones = np.ones(len(ANGLES))
 
     def seen(amplitude: float, gain: float) -> ModelErrorAtAmplitude:
@@ -324,7 +324,7 @@ def deviations_under_noise() -> tuple[float, float]:
     variance."""
     model = linear_model(3)
     moderate = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3)
-    pair = moderate.design(model, ONES).pair
+    pair = moderate.design(model, ONES).gain_pair
     loop = error_to_input_response(model.linear, pair, 1.0, 1.0)
     rng = np.random.default_rng(0)
     noise = rng.standard_normal((200_000, 1))
@@ -338,7 +338,7 @@ def noisy_loop(sigma: float, held_up_to: float) -> tuple[SSM, Gains, Mismatch]:
     `held_up_to` standard deviations of the input."""
     model = linear_model(3)
     riccati_synthesis = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3)
-    pair = riccati_synthesis.design(model, ONES).pair
+    pair = riccati_synthesis.design(model, ONES).gain_pair
     driving, moved = deviations_under_noise()
     strength = sigma * BAND / PEAK / moved
     spectrum = np.full(len(ANGLES), strength**2)

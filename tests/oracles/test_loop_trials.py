@@ -95,18 +95,18 @@ def test_a_loop_that_oscillates_refutes_its_own_design(noise):
     record = recorded(noise)
     mismatch_of_record = measure_model_error(MODEL, (record,))
     mismatch = measure_model_error(MODEL, (record,), 0, (trial,))
-    margins = predict_margins(MODEL, FAST.pair, ONES, mismatch_of_record)
+    margins = predict_margins(MODEL, FAST.gain_pair, ONES, mismatch_of_record)
     resolved_margin = margins.resolved_margin
     assert resolved_margin > 1
-    margins = predict_margins(MODEL, FAST.pair, ONES, mismatch)
+    margins = predict_margins(MODEL, FAST.gain_pair, ONES, mismatch)
     resolved_margin = margins.resolved_margin
     assert resolved_margin < 1
     assert mismatch.loop is not None
     expected = mismatch.loop.gain
     assert mismatch.largest_recorded_gain == expected > 5 * mismatch_of_record.largest_recorded_gain
-    peak = control_sensitivity_peak(MODEL.linear, FAST.pair, ONES)
+    peak = control_sensitivity_peak(MODEL.linear, FAST.gain_pair, ONES)
     assert mismatch.loop.gain > 0.9 / peak
-    margins = predict_margins(MODEL, CALM.pair, ONES, mismatch)
+    margins = predict_margins(MODEL, CALM.gain_pair, ONES, mismatch)
     resolved_margin = margins.resolved_margin
     assert resolved_margin > 1
 

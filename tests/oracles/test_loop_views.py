@@ -126,9 +126,9 @@ def test_a_linear_mismatch_is_all_phase_and_the_loop_is_judged_exactly(seed):
         norm = np.linalg.norm(record.u)
         expected = norm / np.sqrt(record.u.size)
         assert view.amplitude == pytest.approx(expected, rel=0.1)
-        resolved_margin = predict_margins(model, design.pair, ONES, shown).resolved_margin
+        resolved_margin = predict_margins(model, design.gain_pair, ONES, shown).resolved_margin
         found = resolved_margin > 1
-        stable = radius(model, design.pair, factor) < 1
+        stable = radius(model, design.gain_pair, factor) < 1
         assert found == stable
         verdicts.add(stable)
     assert verdicts == {True, False} or seed  # both answers occur
@@ -159,15 +159,15 @@ def test_of_the_two_conditions_the_better_one_counts():
     design = riccati_synthesis.design(model, ONES)
     small_gain = set()
     for factor in (0.02, -0.95, 0.5, 1.5, 3.0, 8.0):
-        if radius(model, design.pair, factor) >= 1:
+        if radius(model, design.gain_pair, factor) >= 1:
             continue
         trajectory = twice(model, lambda u, f=factor: f * model.simulate(u), 0.0)
         shown = measure_model_error(model, (trajectory,))
         views = tuple(replace(v, linear=0 * v.linear, rest=v.by_frequency) for v in shown.views)
         sizes = replace(shown, views=views)
-        resolved_margin = predict_margins(model, design.pair, ONES, sizes).resolved_margin
+        resolved_margin = predict_margins(model, design.gain_pair, ONES, sizes).resolved_margin
         small_gain.add(resolved_margin > 1)
-        resolved_margin = predict_margins(model, design.pair, ONES, shown).resolved_margin
+        resolved_margin = predict_margins(model, design.gain_pair, ONES, shown).resolved_margin
         assert resolved_margin > 1e4
     assert small_gain == {True, False}
 
@@ -188,10 +188,10 @@ def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
     x_hat = np.zeros(3)
     offset = 0.04
     for _ in range(3000):
-        u = design.pair.k @ x_hat
+        u = design.gain_pair.k @ x_hat
         y = c @ x + d @ u + offset
         x = a @ x + b @ u
-        pair_l = design.pair.l
+        pair_l = design.gain_pair.l
         difference = c @ x_hat + d @ u - y
         x_hat = a @ x_hat + b @ u + pair_l @ difference
     trajectory = twice(model, lambda u: 1e-9 * u, 0.0)
@@ -199,7 +199,7 @@ def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
     view = mismatch.views
     for stuck, farthest in (((offset, 0.03), 1.0), ((0.1, 10 * offset, 0.3), 2.0), ((), 1.0)):
         shown = Mismatch(views=view, stuck=stuck, farthest=farthest)
-        found = predict_margins(model, design.pair, ONES, shown)
+        found = predict_margins(model, design.gain_pair, ONES, shown)
         largest = max(stuck, default=0.0)
         power_mean = {2: np.sqrt(20), 3: np.cbrt(20), 0: 0}
         worst = largest * power_mean[len(stuck)]
@@ -211,7 +211,7 @@ def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
         assert found.predicts_stability() == expected
         changed_careful = replace(careful, internal_model=["step"], integral_weight=0.01)
         integral = changed_careful.design(model, ONES)
-        resolved_margin = predict_margins(model, integral.pair, ONES, shown).resolved_margin
+        resolved_margin = predict_margins(model, integral.gain_pair, ONES, shown).resolved_margin
         assert resolved_margin > 5  # at 1e-4 rad/sample, not at 0
 
 
@@ -228,12 +228,12 @@ def test_between_two_amplitudes_lies_what_neither_shows():
     ]
     alone = [
         predict_margins(
-            model, design.pair, ONES, measure_model_error(model, (one,))
+            model, design.gain_pair, ONES, measure_model_error(model, (one,))
         ).resolved_margin
         for one in turned
     ]
     mismatch = measure_model_error(model, tuple(turned))
-    both = predict_margins(model, design.pair, ONES, mismatch).resolved_margin
+    both = predict_margins(model, design.gain_pair, ONES, mismatch).resolved_margin
     assert both <= min(alone)
 
 
@@ -256,7 +256,7 @@ def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
         trajectory = Trajectory(u=still, y=changed_output, step_s=0.01)
         shown = measure_model_error(model, (record,), 0, (trajectory,))
         assert shown.plant_comes_to_rest == rests
-        pair = motor_design().pair
+        pair = motor_design().gain_pair
         margin = predict_margins(model, pair, BALLS, shown).resolved_margin
         assert (margin > 0) == rests
         assert np.isfinite(shown.largest_recorded_gain) == rests

@@ -33,7 +33,7 @@ def model_and_gains(kind="monotone", seed=0):
     linear = replace(model.linear, d=d)
     model = replace(model, linear=linear)
     design = random_design(rng, model, False)
-    pair = design.pair
+    pair = design.gain_pair
     return model, pair
 
 
@@ -139,7 +139,7 @@ def test_several_channels_have_no_nyquist_curve_and_no_input_map() -> None:
     rng = np.random.default_rng(0)
     model = random_model(rng, "linear", 2)
     design = random_design(rng, model, False)
-    gains = design.pair
+    gains = design.gain_pair
     with pytest.raises(NothingToShow, match="one input"):
         nyquist_picture(model, gains, None)
     slopes = certified_balls(model).input

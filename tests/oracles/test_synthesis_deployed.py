@@ -175,7 +175,7 @@ def test_without_a_ball_the_tolerance_is_small_gain(seed: int) -> None:
     certificate = certify_largest_radius(context)
     slope_in = balls.input.alpha
     slope_out = balls.output.alpha
-    system = error_to_input_response(linear, design.pair, slope_in, slope_out)
+    system = error_to_input_response(linear, design.gain_pair, slope_in, slope_out)
     peak = hinf_norm(system)
     assert certificate is not None
     assert certificate.certified
@@ -302,7 +302,7 @@ def test_far_above_the_tolerance_such_a_mismatch_diverges_and_is_not_proved() ->
     assert certificate is not None
     slopes = (0.4, 0.7, 1.0)
     peaks = [
-        hinf_norm(error_to_input_response(linear, design.pair, slope, 0.8)) for slope in slopes
+        hinf_norm(error_to_input_response(linear, design.gain_pair, slope, 0.8)) for slope in slopes
     ]
     assert (
         certificate.kappa * max(peaks) <= 1
@@ -337,8 +337,8 @@ def test_a_sine_of_the_worst_frequency_moves_the_output_by_the_noise_gain(seed: 
     alpha = balls.input.alpha
     jacobian_ball = JacobianBall(alpha=alpha, beta=0.0)
     balls = replace(balls, input=jacobian_ball)
-    gain = noise_gain(linear, design.pair, balls)
-    closed, noise_input, output = loop_with_noise(linear, design.pair, balls)
+    gain = noise_gain(linear, design.gain_pair, balls)
+    closed, noise_input, output = loop_with_noise(linear, design.gain_pair, balls)
     angles = np.linspace(0, np.pi, 20001)
     points = np.exp(1j * angles)[:, None, None]
     shifted = points * np.eye(len(closed)) - closed
@@ -368,8 +368,8 @@ def test_no_noise_gain_is_finite_where_a_slope_leaves_the_loop_unstable() -> Non
     linear, balls, design = loop(0)
     jacobian_ball = JacobianBall.from_slopes(0.4, 1e3)
     wild = replace(balls, input=jacobian_ball)
-    assert np.isfinite(noise_gain(linear, design.pair, balls))
-    assert noise_gain(linear, design.pair, wild) == np.inf
+    assert np.isfinite(noise_gain(linear, design.gain_pair, balls))
+    assert noise_gain(linear, design.gain_pair, wild) == np.inf
 
 
 def test_with_integrators_and_a_weight_the_motor_has_a_tolerance() -> None:

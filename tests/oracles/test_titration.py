@@ -65,7 +65,7 @@ def least_squares_model(plant: Titration) -> SSM:
 
 def swing_of(plant: Titration, model: SSM, design: Design) -> float:
     """Largest output, scaled, in the last part of three loops without noise."""
-    gains, linear = design.pair, model.linear
+    gains, linear = design.gain_pair, model.linear
     start_outputs = np.array([[0.5], [-1.0], [0.05]])
     x = plant.equilibrium_states(start_outputs)
     x_hat = np.zeros((3, ORDER))
@@ -97,7 +97,7 @@ def judged(
     )
     design = request.design(model, balls)
     assert design.certified
-    lines = sensitive_spectral_lines(model, design.pair, balls, PERIOD)
+    lines = sensitive_spectral_lines(model, design.gain_pair, balls, PERIOD)
     rng = np.random.default_rng([0, 13])
     records = simulate_sine_records(plant, rng, NOISE, lines)
     sines = measure_errors_at_sines(model, records, mismatch, PERIOD)

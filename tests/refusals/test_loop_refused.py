@@ -56,7 +56,7 @@ def test_a_controller_for_other_dimensions():
 def test_a_controller_for_another_sampling_time():
     design = motor_design()
     model = replace(motor_model(), step_s=0.02)
-    controller = ObserverFeedback(model=model, gains=design.pair)
+    controller = ObserverFeedback(model=model, gains=design.gain_pair)
     with pytest.raises(BadRequest, match="step_s"):
         LOOP.run_on_plant(motor(), controller, seed=0)
 

@@ -130,8 +130,8 @@ def test_a_transfer_function_of_scipy_is_that_of_python_control() -> None:
     theirs = signal.TransferFunction([1.0], denominator, dt=0.1)
     our_design = st.control(ours, rate=0.5)
     their_design = st.control(theirs, rate=0.5)
-    our_gain = our_design.certificate.pair.k
-    their_gain = their_design.certificate.pair.k
+    our_gain = our_design.certificate.gain_pair.k
+    their_gain = their_design.certificate.gain_pair.k
     assert np.array_equal(our_gain, their_gain)
 
 

@@ -106,7 +106,7 @@ def synthesis_result_columns(
         design, model, recorded_mismatch, data.validation, data.mismatch_records
     )
     if design.feasible:
-        facts = withhold_coverage(facts, model, design.pair)
+        facts = withhold_coverage(facts, model, design.gain_pair)
     return withhold_predictions(facts, judgement.level) | paper_feasibility_columns(
         design, model, balls
     )
