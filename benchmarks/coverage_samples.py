@@ -33,7 +33,7 @@ from ssm_study.models.stored import model_from_json
 from ssm_study.robustness.coverage import DiscWeights
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_search import certify_largest_radius
-from ssm_study.systems import Balls, JacobianBall, StateSpace
+from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace
 
 SETTLED = 1e-2
 BEYOND = 1.5
@@ -168,7 +168,7 @@ def of_random_model(seed: int) -> EdgeLoops | None:
     )
     lower = float(rng.uniform(0.4, 0.9))
     unit = JacobianBall(alpha=1.0, beta=0.0)
-    balls = Balls(input=JacobianBall.from_slopes(lower, 1.0), output=unit)
+    balls = JacobianBalls(input=JacobianBall.from_slopes(lower, 1.0), output=unit)
     weight = float(10 ** rng.uniform(-2, 1))
     asked = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.2, input_weight=weight)
     design = asked.design(SSM.from_linear(linear, 0.01), balls)

@@ -27,7 +27,7 @@ import numpy as np
 
 from ssm_study.data.mcap import read_mcap, write_mcap
 from ssm_study.engine.records import RECORD, read_record, write_record
-from ssm_study.engine.runs import seal_run
+from ssm_study.engine.runs import write_run_manifest
 from ssm_study.refusal import BadRequest
 from ssm_study.study.verify import verify
 
@@ -70,7 +70,7 @@ def alter_json(path: Path, rng: np.random.Generator) -> str:
         node = node[key]
     node[place[-1]] = lie(node[place[-1]], rng)
     if path.name == RECORD:
-        seal_run(path.parent)
+        write_run_manifest(path.parent)
         write_record(path.parent, tree)
     else:
         path.unlink()  # it may be a link to the store's
@@ -101,7 +101,7 @@ def tell(run: Path, rng: np.random.Generator) -> str:
     if path.name != RECORD:
         record = read_record(run)
         assert record is not None
-        seal_run(run)
+        write_run_manifest(run)
         write_record(run, record)
     return told
 

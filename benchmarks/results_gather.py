@@ -21,7 +21,7 @@ from ssm_study.engine.records import read_record, write_record
 from ssm_study.table.columns import COLUMNS
 from ssm_study.table.gather import gather
 from ssm_study.table.rank import rank_runs
-from ssm_study.table.show import render_table, summary_lines
+from ssm_study.table.show import render_table, status_summary_lines
 
 VALUES = {"string": "word", "Int64": 8, "Float64": 0.123456789, "boolean": True}
 # A program of its own, which says its processor time and its peak: what `wait4` says includes what
@@ -69,7 +69,10 @@ def measured(study: Path, runs: int) -> dict[str, float]:
     found["one_changed"] = timed(lambda: gather(study))
     found |= {
         "show": timed(
-            lambda: (render_table(rank_runs(table := gather(study))), summary_lines(table, runs))
+            lambda: (
+                render_table(rank_runs(table := gather(study))),
+                status_summary_lines(table, runs),
+            )
         )
     }
     command = [sys.executable, "-c", REPORT, "report", str(study)]

@@ -15,7 +15,7 @@ import numpy as np
 from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import dual_system
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import Balls, JacobianBall, StateSpace
+from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace
 
 ORDER = 64
 # Largest modulus of a mode, share of the way from the model's own rate to the limit, slope floor of
@@ -53,7 +53,7 @@ def main() -> None:
     for seed, (radius, share, slope) in enumerate(CASES):
         system = drawn(seed, radius)
         output = JacobianBall.from_slopes(0.5, 1.0)
-        balls = Balls(input=JacobianBall.from_slopes(slope, 1.0), output=output)
+        balls = JacobianBalls(input=JacobianBall.from_slopes(slope, 1.0), output=output)
         own = 1 - system.spectral_radius**2
         limits = (
             controller_frontier(system, balls.input),

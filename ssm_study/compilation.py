@@ -1,5 +1,5 @@
-"""Just-in-time compilation of numeric loops by Numba. Compiled loops over numbers: machine code by
-numba, kept on disk where that is possible."""
+"""Just-in-time compilation of numeric loops by Numba. The machine code is kept on disk where that
+is possible."""
 
 import warnings
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from typing import Any
 from numba import njit
 
 
-class NoCompiledCode(UserWarning):
+class UncachedMachineCode(UserWarning):
     """Warning that the machine code compiled by Numba cannot be stored on disk, so that every
     process compiles its own."""
 
@@ -36,4 +36,4 @@ def _warn_of_missing_cache() -> None:
     """Warn, once in each process, that machine code compiled by Numba cannot be stored on disk."""
     problem = "compiled code cannot be kept, so each process compiles for some seconds"
     remedy = "set NUMBA_CACHE_DIR to a folder that may be written to"
-    warnings.warn(f"{problem}; {remedy}", NoCompiledCode, stacklevel=3)
+    warnings.warn(f"{problem}; {remedy}", UncachedMachineCode, stacklevel=3)

@@ -136,11 +136,11 @@ def sha256_of_file(path: Path) -> str:
 
 def add_digest(body: dict[str, Any]) -> dict[str, Any]:
     """Copy of a JSON object with its own SHA-256 digest added under the key `sha256`.
-    `read_sealed_json` then notices a flipped bit in the text."""
+    `read_json_with_digest` then notices a flipped bit in the text."""
     return {**body, "sha256": _sha256_of_body(body)}
 
 
-def read_sealed_json(content: bytes) -> dict[str, Any] | None:
+def read_json_with_digest(content: bytes) -> dict[str, Any] | None:
     """Read a JSON object that carries its own SHA-256 digest; None if a byte was changed since it
     was written."""
     try:

@@ -130,7 +130,7 @@ NAMES: Mapping[str, str] = {
     "synthesis.modes.least_metric": "certificates.riccati.least_metric",
     "synthesis.modes.solve_riccati": "certificates.riccati.solve_riccati",
     "systems.Pair": "systems.Gains",
-    "systems.held": "systems.frozen_modes",
+    "systems.held": "systems.stopped_integrator_matrix",
     "systems.feed": "systems.error_input_matrix",
     "training.fit.Starts": "training.fit.InitialStates",
     "training.levenberg.damped": "training.levenberg.levenberg_marquardt_step",

@@ -202,7 +202,7 @@ class JacobianBall:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Balls:
+class JacobianBalls:
     """Two balls of matrices that contain all Jacobians of a model's input map and of its output
     map. `input` contains the Jacobians of `S_u`, `output` those of `S_y`."""
 
@@ -245,7 +245,7 @@ def error_input_matrix(modes: Float[np.ndarray, "z z"], outputs: int) -> Float[n
     return np.tile(np.eye(outputs), (len(modes) // outputs, 1))
 
 
-def frozen_modes(modes: Float[np.ndarray, "z z"]) -> Float[np.ndarray, "z z"]:
+def stopped_integrator_matrix(modes: Float[np.ndarray, "z z"]) -> Float[np.ndarray, "z z"]:
     """State matrix of the controller's internal model while its integrators are stopped because an
     input limit is active. Integrators (ones on the diagonal) hold their state, oscillators go
     on."""

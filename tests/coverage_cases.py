@@ -8,11 +8,11 @@ from ssm_study.robustness.coverage import DiscWeights, ModelErrorSpectra, measur
 from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import Balls, JacobianBall, StateSpace
+from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace
 
 ZERO = np.zeros((1, 1))
 UNIT = JacobianBall(alpha=1.0, beta=0.0)
-BALLS = Balls(input=UNIT, output=UNIT)
+BALLS = JacobianBalls(input=UNIT, output=UNIT)
 PERIOD = 512
 A = np.array([[0.9, 0.1], [0.0, 0.6]])
 B = np.array([[0.0], [0.4]])

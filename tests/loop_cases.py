@@ -17,11 +17,11 @@ from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.record_errors import ModelErrorAtAmplitude
 from ssm_study.signals import Scale, Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import Balls, JacobianBall, StateSpace
+from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace
 
 INPUT_BALL = JacobianBall.from_slopes(0.12, 1.0)
 OUTPUT_BALL = JacobianBall(alpha=1.0, beta=0.0)
-BALLS = Balls(input=INPUT_BALL, output=OUTPUT_BALL)
+BALLS = JacobianBalls(input=INPUT_BALL, output=OUTPUT_BALL)
 
 
 def flat(by_frequency: np.ndarray, gain: float) -> Mismatch:

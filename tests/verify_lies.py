@@ -13,7 +13,7 @@ import ssm_study as st
 from ssm_study.certificates.certificate import certificate_digest
 from ssm_study.data.mcap import read_mcap, write_mcap
 from ssm_study.engine.records import read_record, write_record
-from ssm_study.engine.runs import seal_run
+from ssm_study.engine.runs import write_run_manifest
 from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.models.metrics import Simulation, fit_columns
 from ssm_study.models.warm_start import PAST, choose_initial_state_source, initial_state_columns
@@ -44,7 +44,7 @@ def altered(
 
 
 def sealed_anew(run: Path, **claims: Any) -> None:
-    seal_run(run)
+    write_run_manifest(run)
     record = (read_record(run) or {}) | claims
     write_record(run, record)
 

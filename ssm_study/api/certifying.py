@@ -77,7 +77,7 @@ class GainCertificate:
     slopes: tuple[float, float]
 
     def __repr__(self) -> str:
-        name = "observer" if self.observes else "gain"
+        name = "observer" if self.is_observer_gain else "gain"
         rows = gain_certificate_lines(name, self)
         lines = pd.Series(rows, dtype=object)
         return render_text_table("GainCertificate", lines)
@@ -95,11 +95,13 @@ class GainCertificate:
             return None
         metric_name = self.certificate.metric_matrix
         matrix = getattr(self.certificate, metric_name)
-        metric: Float[np.ndarray, "n n"] = matrix if self.observes else np.linalg.inv(matrix)
+        metric: Float[np.ndarray, "n n"] = (
+            matrix if self.is_observer_gain else np.linalg.inv(matrix)
+        )
         return metric
 
     @property
-    def observes(self) -> bool:
+    def is_observer_gain(self) -> bool:
         """Whether the certified gain is that of an observer."""
         return self.certificate is not None and self.certificate.observes
 
@@ -174,7 +176,7 @@ def gain_certificate_lines(name: str, gain: GainCertificate) -> dict[str, str]:
         rate = f"rate {round_rate_down(gain.rate, 6)} per sample"
         decay = decay_time_text(gain.rate)
         lines[name] = f"contracts at {rate} ({decay}), decided exactly"
-        if gain.observes:
+        if gain.is_observer_gain:
             lines[name] += ", if it computes the plant's own input and output maps"
     lines[f"{name}, slopes"] = _describe_slopes(name, gain.slopes)
     if gain.overshoot is not None:

@@ -20,7 +20,7 @@ from ssm_study.api.model import Model, draw_or_refuse
 from ssm_study.api.scope_of_proof import refuse_picture_without_records
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.summaries import html_table, render_text_table, summarise_design
-from ssm_study.api.systems import read_channel_values, read_folder, read_number
+from ssm_study.api.systems import read_channel_values, read_number, read_path
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.evidence.metrics import withhold_predictions
@@ -148,13 +148,13 @@ class Design:
     def _coverage_columns(self) -> dict[str, Any]:
         """Columns of the results table that say how far the proof covers the model error in the
         records."""
-        from ssm_study.api.steps import measure_coverage_premise
+        from ssm_study.api.steps import measure_error_to_cover
         from ssm_study.robustness.coverage import measure_error_spectra
 
         assert self.origin is not None
         data = self.origin.data
         mismatch = self.origin.mismatch
-        premise = measure_coverage_premise(self.model, data, mismatch)
+        premise = measure_error_to_cover(self.model, data, mismatch)
         fresh = measure_error_spectra(self.model, data.test, mismatch, data.start_up_samples, ())
         return coverage_columns(self.certificate, self.model, premise, fresh)
 
@@ -214,7 +214,7 @@ class Design:
         the observer cannot compute the plant's maps (`unknown_maps`).
         """
         refuse_unknown_maps(self.unknown_maps)
-        path = read_folder("path", path)
+        path = read_path("path", path)
         name = path.stem if self.run_folder is None else ""
         sources = targets.render_controller(self.folder, real=real, prefix=path.stem, name=name)
         for name, text in sources.items():
@@ -238,7 +238,7 @@ class Design:
         `unknown_maps`.
         """
         refuse_unknown_maps(self.unknown_maps)
-        folder = read_folder("folder", folder)
+        folder = read_path("folder", folder)
         require(not folder.exists(), "to", folder, "exists", "name a new folder")
         if self.run_folder is not None:
             return Path(shutil.copytree(self.run_folder, folder))
@@ -342,10 +342,10 @@ class Design:
         """
         from ssm_study.api.pictures.coverage import coverage_picture
         from ssm_study.api.pictures.margin import physical_input_scale
-        from ssm_study.api.steps import measure_coverage_premise
+        from ssm_study.api.steps import measure_error_to_cover
 
         origin = self._model_with_records()
-        premise = measure_coverage_premise(self.model, origin.data, origin.mismatch)
+        premise = measure_error_to_cover(self.model, origin.data, origin.mismatch)
         step_s = self.model.step_s
         scale = physical_input_scale(self.model, origin.data.inputs[0].unit)
         return draw_or_refuse(

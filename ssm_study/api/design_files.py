@@ -6,7 +6,7 @@ from typing import Any
 
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.data.mcap import SignalGroup, write_mcap
-from ssm_study.durable import read_sealed_json
+from ssm_study.durable import read_json_with_digest
 from ssm_study.export import targets
 from ssm_study.refusal import require
 from ssm_study.signals import DataSet
@@ -29,7 +29,7 @@ def read_stored_design(folder: Path) -> dict[str, Any]:
     require(not failed, "design", folder, "; ".join(failed), NAMES_EVERY_CLAIM)
     record: dict[str, Any] | None = {}
     if (folder / RECORD).is_file():
-        record = read_sealed_json((folder / RECORD).read_bytes())
+        record = read_json_with_digest((folder / RECORD).read_bytes())
         problem = f"{RECORD} is not as it was written"
         require(record is not None, "design", folder, problem, NAMES_EVERY_CLAIM)
     return {"certificate": certificate, "model": model, "stored_record": record}

@@ -12,7 +12,7 @@ from ssm_study.api.model import Model
 from ssm_study.api.parts import Parts
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.steps import identify_model
-from ssm_study.api.systems import read_folder, read_slopes
+from ssm_study.api.systems import read_path, read_slopes
 from ssm_study.data.arrays import index_period_s, write_log_files
 from ssm_study.refusal import NO_NUMBERS, BadRequest, require, require_positive
 from ssm_study.signals import DataSet
@@ -106,9 +106,7 @@ def fit(
     training = parts.build("training")
     reduction = parts.build("reduction")
 
-    folder = (
-        make_scratch_folder() if results_dir is None else read_folder("results_dir", results_dir)
-    )
+    folder = make_scratch_folder() if results_dir is None else read_path("results_dir", results_dir)
     data = build_data_set(parts, u, y, step_s, disturbance, folder)
 
     seed = parts.numbers["seed"]

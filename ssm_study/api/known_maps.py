@@ -25,7 +25,7 @@ class UnknownMap(UserWarning):
     slopes."""
 
 
-def name_unknown_maps(model: Any, certificate: Certificates) -> dict[str, str]:
+def unknown_map_ranges(model: Any, certificate: Certificates) -> dict[str, str]:
     """Slope range, as text, of each static map that a design knows only by that range. Keyed by
     the argument of `control` that gives the range."""
     balls = certified_balls(model)

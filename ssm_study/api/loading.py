@@ -6,7 +6,7 @@ from ssm_study.api.design import Design
 from ssm_study.api.model import Model
 from ssm_study.api.model_files import holds_saved_model
 from ssm_study.api.rest_design import RestDesign, holds_rest_design
-from ssm_study.api.systems import read_folder
+from ssm_study.api.systems import read_path
 
 
 def load(folder: str | Path) -> Design | RestDesign | Model:
@@ -16,7 +16,7 @@ def load(folder: str | Path) -> Design | RestDesign | Model:
     `Model` with its records, ready for `st.simulate` and `st.control`. Raises `BadRequest` where
     there is neither.
     """
-    folder = read_folder("folder", folder)
+    folder = read_path("folder", folder)
     if holds_saved_model(folder):
         return Model.load(folder)
     if holds_rest_design(folder):

@@ -20,7 +20,7 @@ from ssm_study.api.model_files import holds_saved_model, read_model_fields, writ
 from ssm_study.api.scoring import require_varying_outputs, simulate_given_record
 from ssm_study.api.steps import judge_evidence, measure_model_error
 from ssm_study.api.summaries import html_table, render_text_table, summarise_model
-from ssm_study.api.systems import read_folder
+from ssm_study.api.systems import read_path
 from ssm_study.bounds.metrics import model_bound_columns
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.data.arrays import check_time_index, disturbance_array, signal_array_and_names
@@ -309,7 +309,7 @@ class Model:
         `model.json` alone can be simulated without torch. Returns the folder. Raises `BadRequest`
         for a folder that exists.
         """
-        folder = read_folder("folder", folder)
+        folder = read_path("folder", folder)
         exists = folder.exists()
         require(not exists, "folder", folder, "exists", "name a new folder")
         folder.mkdir(parents=True)
@@ -322,7 +322,7 @@ class Model:
 
         Raises `BadRequest` where there is none.
         """
-        folder = read_folder("folder", folder)
+        folder = read_path("folder", folder)
         problem = "holds no saved model"
         remedy = "name the folder that model.save wrote"
         is_saved_model = holds_saved_model(folder)

@@ -98,23 +98,23 @@ def _load_default(group: str, entry: Any) -> Tree:
     place = place or path.rpartition("/")[2]
     tree: Tree = {}
     nested_settings = load_choice(nested, str(choice))
-    replacement = Replacement(deepcopy(nested_settings))
+    replacement = ReplacementSettings(deepcopy(nested_settings))
     assign_nested(tree, place, replacement)
     return tree
 
 
-class Replacement(dict[str, Any]):
+class ReplacementSettings(dict[str, Any]):
     """Settings that replace another nested dictionary of settings instead of being merged into
     it."""
 
 
 def merge_trees(tree: Tree, other: Mapping[str, Any]) -> None:
     """Merge one nested dictionary of settings into another, in place. A subtree that is a
-    `Replacement` is not merged but put in place of the other."""
+    `ReplacementSettings` is not merged but put in place of the other."""
     for key, value in other.items():
         is_tree = isinstance(value, dict)
         is_merged = is_tree and isinstance(tree.get(key), dict)
-        if is_merged and not isinstance(value, Replacement):
+        if is_merged and not isinstance(value, ReplacementSettings):
             merge_trees(tree[key], value)
         elif isinstance(value, dict):
             tree[key] = deepcopy(dict(value))
@@ -238,10 +238,10 @@ class Parts:
         part = key.partition(".")[0]
         is_known = part in self.trees and "." in key
         require(is_known, key, text, "is no setting of data, model or design", REMEDY)
-        self.details.append(f"{self._override_sign(key)}{key}={text}")
+        self.details.append(f"{self._override_prefix(key)}{key}={text}")
         assign_value(self.trees, key, value)
 
-    def _override_sign(self, path: str) -> str:
+    def _override_prefix(self, path: str) -> str:
         """Prefix of a command-line override: `++` for a setting that the configuration files lack,
         otherwise empty."""
         if not self._has_setting(path):
@@ -263,7 +263,7 @@ class Parts:
         unchanged."""
         for name, value in settings.items():
             if value is not None:
-                sign = self._override_sign(f"{part}.{name}")
+                sign = self._override_prefix(f"{part}.{name}")
                 assign_value(self.trees, f"{part}.{name}", value)
                 self.arguments[f"{part}.{name}"] = ARGUMENTS.get(name, name)
                 self.details.append(f"{sign}{part}.{name}={format_value(value)}")

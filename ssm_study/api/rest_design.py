@@ -16,7 +16,7 @@ from jaxtyping import Float
 from ssm_study.api.arguments import Values
 from ssm_study.api.loops import tabulate_rollouts
 from ssm_study.api.summaries import PROVED, html_table, render_text_table
-from ssm_study.api.systems import read_folder, read_number
+from ssm_study.api.systems import read_number, read_path
 from ssm_study.certificates.bilinear_certificates import (
     BilinearCertificates,
     failed_bilinear_checks,
@@ -145,7 +145,7 @@ class RestDesign:
 
         `real` is "double" or "float". Raises `BadRequest` where no gains were found.
         """
-        path = read_folder("path", path)
+        path = read_path("path", path)
         digest = certificate_digest(self.certificates.to_json())
         rows = self.summary()
         lines = [f"{name}: {value}" for name, value in rows.items()]
@@ -157,7 +157,7 @@ class RestDesign:
     def save(self, folder: str | Path) -> Path:
         """Save model, gains and certificates in a new folder, which `ssm-study verify` and
         `st.load` read. Raises `BadRequest` for a folder that exists."""
-        folder = read_folder("folder", folder)
+        folder = read_path("folder", folder)
         exists = folder.exists()
         require(not exists, "to", folder, "exists", "name a new folder")
         folder.mkdir(parents=True)
@@ -199,10 +199,10 @@ class RestDesign:
         for label, reason in self.certificates.reasons.items():
             lines[f"not proved: {MODEL_WORDS.get(label, 'any loop')}"] = reason
         for label, part in self.certificates.parts.items():
-            lines[MODEL_WORDS[label]] = self._describe_part(part)
+            lines[MODEL_WORDS[label]] = self._describe_certificate(part)
         return pd.Series(lines, name="design", dtype=object)
 
-    def _describe_part(self, part: Any) -> str:
+    def _describe_certificate(self, part: Any) -> str:
         """Text on the contraction factor that a certificate proves and the states for which the
         factor holds."""
         ten_thousandths = np.ceil(part.factor * 1e4)
@@ -233,7 +233,7 @@ def equilibrium_input_range(model: Bilinear, part: Any) -> tuple[float, float]:
         levels = np.linspace(0.0, end, LEVELS)
         for v in levels[1:]:
             x = equilibrium_state(model, float(v))
-            if x is None or certified_norm(part, x) > part.radius:
+            if x is None or certificate_norm(part, x) > part.radius:
                 break
             reached = float(v)
         ends.append(reached)
@@ -257,7 +257,7 @@ def equilibrium_state(model: Bilinear, v: float) -> Float[np.ndarray, "n"] | Non
     return np.asarray(equilibrium)
 
 
-def certified_norm(part: Any, x: Float[np.ndarray, "n"]) -> float:
+def certificate_norm(part: Any, x: Float[np.ndarray, "n"]) -> float:
     """Norm that decides whether an initial state lies in the set for which a certificate holds."""
     squared_state_norm = x @ part.p @ x
     norm = float(np.sqrt(squared_state_norm))

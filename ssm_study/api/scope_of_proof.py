@@ -68,16 +68,16 @@ def describe_deciding_band(design: "Design") -> str:
     facts = design.facts
     stored_reference = facts.get("coverage_reference") or ""
     reference = str(stored_reference)
-    words = describe_frequency(reference, design.model.step_s)
+    words = smallest_coverage_band_text(reference, design.model.step_s)
     if not words:
         return ""
     amplitude = AMPLITUDE.match(reference)
     if amplitude is not None and ONE_AMPLITUDE not in str(facts.get("evidence_reasons")):
         words += f" with an {amplitude[0].rstrip(',')} input scales"
-    return f", decided {words}{describe_input_power(design, reference)}"
+    return f", decided {words}{weak_input_power_text(design, reference)}"
 
 
-def describe_frequency(reference: str, step_s: float) -> str:
+def smallest_coverage_band_text(reference: str, step_s: float) -> str:
     """Text in Hz of the frequency range where the tolerated model error is smallest relative to
     the measured one; empty if no range is given."""
     angles = ANGLE.search(reference)
@@ -90,11 +90,11 @@ def describe_frequency(reference: str, step_s: float) -> str:
     return f"{'from' if len(hertz) > 1 else 'at'} {place} Hz"
 
 
-def describe_input_power(design: "Design", reference: str) -> str:
+def weak_input_power_text(design: "Design", reference: str) -> str:
     """Text that warns if the input has almost no power in the frequency band where the tolerated
     model error is smallest relative to the measured one. Of a loaded design its evidence is quoted,
     if the band lies above the first that is not excited."""
-    from ssm_study.api.steps import measure_coverage_premise
+    from ssm_study.api.steps import measure_error_to_cover
     from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 
     extra_certificates = design.certificate.extra_certificates
@@ -112,7 +112,7 @@ def describe_input_power(design: "Design", reference: str) -> str:
         return f" (the input has no power in {note[1]})" if hertz >= from_hz else ""
     data = design.origin.data
     mismatch = design.origin.mismatch
-    premise = measure_coverage_premise(design.model, data, mismatch)
+    premise = measure_error_to_cover(design.model, data, mismatch)
     items = premise.requirements(part.centre)
     is_dark = any(item.dark for item in items if item.label == reference)
     return (
@@ -141,7 +141,7 @@ def describe_simulated_loop(design: "Design") -> str:
     return words if open_loop_s is None else f"{words} ({open_loop_s:.3g} s without control)"
 
 
-def describe_unproved(design: "Design") -> str:
+def unproved_properties_text(design: "Design") -> str:
     """Text on what the certificates of a controller design do not prove."""
     if design.origin is None and not design.stored_record:
         return "a rate of the loop of both; a loop whose input is limited; any other plant"

@@ -65,7 +65,7 @@ def judge_evidence(model: Any, data: DataSet, plant_mismatch: Mismatch) -> Judge
     return collect_findings(data, model, validation, test, plant_mismatch)
 
 
-def measure_coverage_premise(
+def measure_error_to_cover(
     model: StateSpaceModel, data: DataSet, mismatch: Mismatch
 ) -> ModelErrorSpectra:
     """Measure the model error, in each frequency band, that a stability proof for the plant has to
@@ -94,7 +94,7 @@ def design_controller(
     from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, seeks_coverage
 
     balls = certified_balls(model)
-    premise = measure_coverage_premise(model, data, plant_mismatch)
+    premise = measure_error_to_cover(model, data, plant_mismatch)
     lower, upper = input_limits(*limits, data.training_inputs)
     if isinstance(synthesis, Auto):
         if judgement.level == CANNOT_JUDGE:

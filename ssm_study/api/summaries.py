@@ -13,8 +13,8 @@ from ssm_study.api.loop_of_both import describe_loop_verdict, find_unstable_exam
 from ssm_study.api.scope_of_proof import (
     describe_deciding_band,
     describe_simulated_loop,
-    describe_unproved,
     requested_rate,
+    unproved_properties_text,
 )
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.certificates.certificate import Infeasible
@@ -136,7 +136,7 @@ def summarise_design(design: "Design") -> pd.Series:
             lines[name] += f", if it computes the plant's own {list_maps(design.unknown_maps)}"
     example = find_unstable_example(certificate) if design.unknown_maps else None
     lines["loop of both"] = describe_loop_verdict(design.verdicts, design.unknown_maps, example)
-    lines["not proved"] = describe_unproved(design)
+    lines["not proved"] = unproved_properties_text(design)
     if not certificate.feasible:
         return pd.Series(lines, name="design", dtype=object)
     if design.unknown_maps:

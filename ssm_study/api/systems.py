@@ -151,7 +151,7 @@ def read_channel_values(name: str, values: Any, channels: int) -> Float[np.ndarr
     return numbers
 
 
-def read_folder(name: str, folder: Any) -> Path:
+def read_path(name: str, folder: Any) -> Path:
     """Check that an argument is a path. Raises `BadRequest` for any other value."""
     is_path_or_text = isinstance(folder, str | Path)
     is_path = is_path_or_text and "\0" not in str(folder)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from ssm_study.bounds.network import Network, slope_interval
 from ssm_study.refusal import BadRequest, require
-from ssm_study.systems import Balls, JacobianBall
+from ssm_study.systems import JacobianBall, JacobianBalls
 
 # What is computed in floats is widened by this share: a thousand additions err by less than 1e-12,
 # a norm by less.
@@ -182,9 +182,9 @@ def jacobian_ball(scaffold: Any) -> SlopeBound:
     return scaffold.bound()
 
 
-def certified_balls(model: Any) -> Balls:
+def certified_balls(model: Any) -> JacobianBalls:
     """Balls that provably contain all Jacobians of a model's input map and of its output map.
     Raises `BadRequest` where none is proved."""
     input_bound = jacobian_ball(model.scaffold_in)
     output_bound = jacobian_ball(model.scaffold_out)
-    return Balls(input=input_bound.ball, output=output_bound.ball)
+    return JacobianBalls(input=input_bound.ball, output=output_bound.ball)

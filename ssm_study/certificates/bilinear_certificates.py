@@ -13,7 +13,7 @@ from ssm_study.certificates.certificate import certificate_digest, read_certific
 from ssm_study.certificates.stored_fields import convert_field
 from ssm_study.certificates.theorem import AGAIN, Theorem, VerificationContext
 from ssm_study.refusal import BadRequest, require
-from ssm_study.systems import Balls, JacobianBall
+from ssm_study.systems import JacobianBall, JacobianBalls
 
 PARTS = ("bilinear_loop", "bilinear_everywhere", "bilinear_contraction")
 DIMENSIONS = {"k": Float[np.ndarray, "m n"], "l_nodes": Float[np.ndarray, "q n p"]}
@@ -90,7 +90,7 @@ def failed_bilinear_checks(content: Mapping[str, Any], model: Any) -> list[str]:
     except BadRequest as malformed:
         return [str(malformed)]
     ball = JacobianBall(alpha=1.0, beta=0.0)
-    balls = Balls(input=ball, output=ball)
+    balls = JacobianBalls(input=ball, output=ball)
     context = VerificationContext(
         system=model, controlled=model, balls=balls, gains={"k": certificates.k}
     )

@@ -23,7 +23,7 @@ from jaxtyping import Float
 from ssm_study.exact import Exact, is_positive_definite
 from ssm_study.extensions import import_trusted_modules
 from ssm_study.refusal import require
-from ssm_study.systems import Balls, JacobianBall, StructuredSystem
+from ssm_study.systems import JacobianBall, JacobianBalls, StructuredSystem
 
 FOLDER = "ssm_study.certificates.theorems"
 AGAIN = "synthesise again"
@@ -119,7 +119,7 @@ class VerificationContext:
 
     system: Any
     controlled: Any
-    balls: Balls
+    balls: JacobianBalls
     gains: Mapping[str, Float[np.ndarray, "r c"]]
 
 

@@ -149,7 +149,7 @@ def grid_combinations(config: DictConfig) -> list[list[str]]:
 
 
 @dataclass
-class ComposedChoices:
+class SharedConfiguration:
     """Composed configuration that jobs of a sweep share, and in which each job then sets its own
     values."""
 
@@ -243,7 +243,7 @@ class Composer:
         self.parser = OverridesParser.create(config_loader=loader)
         # Every word, and whether it is a plain value.
         self.parsed: dict[str, tuple[Override, bool]] = {}
-        self.composed: dict[tuple[str, ...], ComposedChoices] = {}
+        self.composed: dict[tuple[str, ...], SharedConfiguration] = {}
 
     def compose(self, overrides: list[str], number: int | None = None) -> DictConfig:
         """Compose the whole configuration of one job of a sweep, including Hydra's section. The
@@ -278,7 +278,7 @@ class Composer:
         set_hydra_config(config)
         return plain_settings(config)
 
-    def _split_overrides(self, overrides: list[str]) -> tuple[ComposedChoices, list[Override]]:
+    def _split_overrides(self, overrides: list[str]) -> tuple[SharedConfiguration, list[Override]]:
         """Split the overrides of a job into a configuration shared with other jobs and the job's
         own plain values."""
         parsed = [self._parse_override(word) for word in overrides]
@@ -291,7 +291,7 @@ class Composer:
             chosen = self._shared_composition(marked)
         return chosen, [override for override, is_own in marked if is_own]
 
-    def _shared_composition(self, parsed: list[tuple[Override, bool]]) -> ComposedChoices:
+    def _shared_composition(self, parsed: list[tuple[Override, bool]]) -> SharedConfiguration:
         """Configuration composed from parsed overrides that several jobs share, loaded when it is
         first needed."""
         choices = [str(override.input_line) for override, is_plain in parsed if not is_plain]
@@ -302,7 +302,7 @@ class Composer:
         if key not in self.composed:
             config = self.loader.load_sweep_config(self.sweep, choices)
             self.refuse(config)
-            self.composed[key] = ComposedChoices(config)
+            self.composed[key] = SharedConfiguration(config)
         return self.composed[key]
 
     def _parse_override(self, word: str) -> tuple[Override, bool]:

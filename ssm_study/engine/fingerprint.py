@@ -26,7 +26,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ssm_study.durable import add_digest, read_sealed_json, write_json_atomically
+from ssm_study.durable import add_digest, read_json_with_digest, write_json_atomically
 from ssm_study.refusal import require
 from ssm_study.renamed import current_module, current_symbol
 
@@ -103,13 +103,13 @@ class CodeReader:
     def dependency_closure(self, roots: Iterable[Symbol]) -> set[Symbol]:
         """All functions, classes and constants outside libraries on which given ones depend."""
         visited = set[Symbol]()
-        waiting = {self._symbol_to_read(symbol) for symbol in roots}
+        waiting = {self._source_symbol(symbol) for symbol in roots}
         while waiting:
             symbol = waiting.pop()
             visited.add(symbol)
             if symbol not in self.steps:
                 self.steps[symbol] = frozenset(
-                    map(self._symbol_to_read, self._symbols_used(*symbol))
+                    map(self._source_symbol, self._symbols_used(*symbol))
                 )
             waiting |= self.steps[symbol] - visited
         return visited
@@ -121,9 +121,9 @@ class CodeReader:
             if module.split(".")[0] == OURS:
                 self._read_module(module)
 
-    def _symbol_to_read(self, symbol: Symbol) -> Symbol:
-        """Symbol whose source is read for a given symbol: a whole library, or the current name for
-        an old one."""
+    def _source_symbol(self, symbol: Symbol) -> Symbol:
+        """Symbol whose source is read in place of a given one: the whole library if the symbol
+        comes from a library, or the current name if it was renamed."""
         top = symbol[0].split(".")[0]
         if not self._is_followed(top):
             return (top, LIBRARY)
@@ -284,7 +284,7 @@ def _scan_module(path: Path, module: str) -> Module:
     digest = hashlib.sha256(FORM.encode() + content).hexdigest()
     file = CACHE / f"{hashlib.sha256(str(path).encode()).hexdigest()[:32]}.json"
     with suppress(OSError):
-        cached = read_sealed_json(file.read_bytes())
+        cached = read_json_with_digest(file.read_bytes())
         if cached is not None and cached["content"] == digest:
             return _module_from_json(cached)
     read = _scan_source(path, module)

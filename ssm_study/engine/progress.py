@@ -112,10 +112,10 @@ class ProgressWatcher(Thread):
             progress.reused = self.there_before
             # Sleeps, yet wakes at once when the sweep is over.
             while not self.over.wait(self.every_s):
-                self._read_folders(progress)
-            self._read_folders(progress)  # the last line is of how it ended
+                self._update_counts(progress)
+            self._update_counts(progress)  # the last line is of how it ended
 
-    def _read_folders(self, progress: Progress) -> None:
+    def _update_counts(self, progress: Progress) -> None:
         """Count the statuses in the run folders of a sweep and print the progress."""
         statuses = self._run_statuses()
         progress.counts = Counter(status for status in statuses if status in FINAL)

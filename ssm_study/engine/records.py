@@ -11,8 +11,8 @@ import numpy as np
 from ssm_study.durable import (
     add_digest,
     is_locked,
+    read_json_with_digest,
     read_limited_bytes,
-    read_sealed_json,
     write_json_atomically,
 )
 from ssm_study.refusal import BadRequest
@@ -65,7 +65,7 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 def parse_record(content: bytes) -> dict[str, Any]:
     """Parse the record of a run from the bytes of its file. Bytes that are not exactly a sealed
     record give only `status = corrupt`."""
-    record = read_sealed_json(content)
+    record = read_json_with_digest(content)
     version = None if record is None else record.get("record_version")
     if type(version) is not int or version not in READABLE:
         return {"status": CORRUPT}

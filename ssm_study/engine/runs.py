@@ -18,7 +18,7 @@ from ssm_study.durable import PATIENCE_S, file_lock, link_or_copy, write_atomica
 from ssm_study.engine import records
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, LOCK, LOST, OK, RECORD, RUNNING
 from ssm_study.engine.stages import StageResult
-from ssm_study.engine.store import intact_manifest, seal_folder
+from ssm_study.engine.store import intact_manifest, write_manifest
 from ssm_study.refusal import BadRequest, require
 
 TRACEBACK = "traceback.txt"
@@ -150,7 +150,7 @@ def needs_run(earlier_record: Mapping[str, Any] | None, retry_failed: bool) -> b
 
 
 def existing_outcome(folder: Path, earlier_record: Mapping[str, Any] | None) -> Outcome:
-    """Outcome of a run that needs no execution, taken from its earlier record."""
+    """Outcome of a run that is not executed again, read from the record of its last execution."""
     if earlier_record is None:
         message = "never ran; only failed runs are retried"
         return Outcome(folder=folder, status="absent", did="left", message=message)
@@ -175,7 +175,7 @@ def _execute_work(
         seconds = time.perf_counter() - started
         closing = {"status": status, "ended_utc": _utc_now(), "seconds": seconds}
         # Before the record: that one makes the run count, so its files must already be durable.
-        seal_run(folder)
+        write_run_manifest(folder)
         records.write_record(folder, opening_columns | run.facts | closing)
     except (Exception, SystemExit) as error:
         if _is_scheduler_stop(error):
@@ -196,11 +196,11 @@ def _is_scheduler_stop(error: BaseException) -> bool:
     return str(innermost.f_globals.get("__name__")).startswith("submitit.")
 
 
-def seal_run(folder: Path) -> None:
+def write_run_manifest(folder: Path) -> None:
     """Write a manifest file with the checksums of all files of a run, including its
     configuration."""
     changing = frozenset({LOCK, ATTEMPTS, RECORD, "run.log"})
-    seal_folder(folder, {"run": folder.name}, leave_out=changing)
+    write_manifest(folder, {"run": folder.name}, leave_out=changing)
 
 
 def error_columns(error: BaseException, folder: Path) -> dict[str, Any]:

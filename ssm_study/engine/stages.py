@@ -133,8 +133,8 @@ class Stages(ABC):
         `note` says from what the key was made."""
 
     def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:  # noqa: ARG002
-        """Table columns that describe a finished computing step; empty where steps are only
-        planned."""
+        """Columns of the results table that describe the result of a computing step; empty if the
+        step was only planned."""
         return {}
 
     def unrecorded_store(self) -> "Stages":

@@ -20,8 +20,8 @@ from ssm_study.durable import (
     add_digest,
     file_lock,
     flush_to_disk,
+    read_json_with_digest,
     read_limited_bytes,
-    read_sealed_json,
     sha256_of_file,
 )
 from ssm_study.engine.records import storable_value
@@ -57,7 +57,7 @@ class Store(Stages):
         key = columns_key(output, before)
         folder = output.result.path
         path = folder.with_name(f"{folder.name}.{key[:16]}.json")
-        stored = read_sealed_json(read_limited_bytes(path)) if path.is_file() else None
+        stored = read_json_with_digest(read_limited_bytes(path)) if path.is_file() else None
         if stored is not None and stored["key"] == key:
             facts: Facts = stored["facts"]
             return facts
@@ -125,7 +125,7 @@ class Store(Stages):
             seconds = time.perf_counter() - started
             processor_seconds = time.process_time() - processor_started
             times = {"seconds": seconds, "processor_seconds": processor_seconds}
-            seal_folder(temporary, note | {"key": key} | times)
+            write_manifest(temporary, note | {"key": key} | times)
             _move_into_place(temporary, final)
         except (Exception, SystemExit) as error:
             failed_here = isinstance(error, OSError) and error.errno != errno.ENOENT
@@ -177,7 +177,7 @@ def _clear_leftovers(temporary: Path, final: Path) -> None:
             shutil.rmtree(leftover, ignore_errors=True)
 
 
-def seal_folder(
+def write_manifest(
     folder: Path, note: dict[str, Any], leave_out: frozenset[str] = frozenset()
 ) -> None:
     """Write a manifest of a folder, with the sizes and SHA-256 digests of its files, and flush the
@@ -207,7 +207,7 @@ def seal_folder(
 def intact_manifest(folder: Path) -> dict[str, Any] | None:
     """Read the manifest of a folder; None if the manifest or a file that it lists was changed."""
     try:
-        manifest = read_sealed_json(read_limited_bytes(folder / MANIFEST))
+        manifest = read_json_with_digest(read_limited_bytes(folder / MANIFEST))
     except OSError:
         return None
     if manifest is None or damaged_files(folder, manifest):

@@ -22,7 +22,7 @@ from ssm_study.systems import (
     StructuredSystem,
     System,
     error_input_matrix,
-    frozen_modes,
+    stopped_integrator_matrix,
 )
 
 Vector = Float[np.ndarray, "_"]
@@ -114,7 +114,7 @@ class PortableController:
         """
         rows = np.flatnonzero(self.e.any(axis=1))
         modes = self.a[rows][:, rows]
-        rest_by_themselves = np.array_equal(frozen_modes(modes), modes)
+        rest_by_themselves = np.array_equal(stopped_integrator_matrix(modes), modes)
         is_integrator = np.diagonal(modes) == 1
         count = 0 if rest_by_themselves else int(is_integrator.sum())
         first = len(self.a) - len(rows)

@@ -34,7 +34,7 @@ from ssm_study.signals import Channel, input_limits
 from ssm_study.stored_yaml import read_stored_yaml
 from ssm_study.synthesis.deployed import prove_within_input_limits
 from ssm_study.synthesis.design import failed_checks
-from ssm_study.systems import Balls, JacobianBall
+from ssm_study.systems import JacobianBall, JacobianBalls
 
 UNLIMITED = 1e38  # either float's largest number stands for no limit
 # As long as the replay of the C code: both loops have come to rest by then, or drift visibly.
@@ -352,7 +352,7 @@ def prove_deployed_rates(device: Device, design: Design) -> dict[str, float | No
     outer = _ball_of_rounded_slopes(controller.s_out)
     if inner is None or outer is None:  # no ball, no theorem
         return dict.fromkeys(gains)
-    balls = Balls(input=inner, output=outer)
+    balls = JacobianBalls(input=inner, output=outer)
     context = VerificationContext(system=system, controlled=controlled, balls=balls, gains={})
     proved: dict[str, float | None] = {}
     for side, gain in gains.items():

@@ -23,7 +23,7 @@ from ssm_study.loop.trajectory import (
 from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
-from ssm_study.systems import Gains, error_input_matrix, frozen_modes
+from ssm_study.systems import Gains, error_input_matrix, stopped_integrator_matrix
 
 Memory = Float[np.ndarray, "N s"]
 Inputs = Float[np.ndarray, "N m"]
@@ -174,7 +174,7 @@ class ObserverFeedback(EstimateFeedback):
     target row is `(x*, u*, y*)`, a trajectory of the model near the reference. `K (m, n)`, or one
     pair of gains for each case, stacked: such a law brings to rest only. With a wider K there is an
     internal model, `z+ = A_z z + E (y - y*) / s_y`; no error enters it while a limit keeps the
-    input from what was asked (`systems.frozen_modes`).
+    input from what was asked (`systems.stopped_integrator_matrix`).
     """
 
     def __post_init__(self) -> None:
@@ -276,7 +276,7 @@ class ObserverFeedback(EstimateFeedback):
         error = output_error / output_scale
         error_matrix = error_input_matrix(modes, p).T
         driven = z @ modes.T + error @ error_matrix
-        frozen = z @ frozen_modes(modes).T
+        frozen = z @ stopped_integrator_matrix(modes).T
         z = np.where(unlimited, driven, frozen)
         whole_memory = [x_hat, z]
         return np.concatenate(whole_memory, axis=1)

@@ -91,10 +91,10 @@ def feasibility_sentences(table: pd.DataFrame) -> tuple[str, ...]:
     """Sentences on which requested contraction rates can be certified, with the exact limits of the
     rates. Observers are mentioned only where a request failed."""
     sides = ("controller", "observer")
-    return tuple(sentence for side in sides for sentence in frontier_sentences(table, side))
+    return tuple(sentence for side in sides for sentence in certifiable_rate_sentences(table, side))
 
 
-def frontier_sentences(table: pd.DataFrame, side: str) -> Iterator[str]:
+def certifiable_rate_sentences(table: pd.DataFrame, side: str) -> Iterator[str]:
     """Sentences on the largest certifiable contraction rates of a study's models, and on how many
     requested rates exceed them."""
     rate = numeric_column(table, f"rate_{side}")

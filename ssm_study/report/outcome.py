@@ -284,7 +284,7 @@ def fresh_error_ratio_text(record: Mapping[str, Any]) -> str:
     if not math.isfinite(needed):
         return "; fresh data lie outside every such disc"
     times = f"{math.ceil(100 * needed) / 100:.2f} times"
-    if fresh_data_exceed_coverage(record):
+    if unused_data_exceed_coverage(record):
         times += ", more than is covered"
     sets = record.get("fresh_sets")
     if not sets:
@@ -294,7 +294,7 @@ def fresh_error_ratio_text(record: Mapping[str, Any]) -> str:
     return f"; {sets} fresh data sets show at most {times}"
 
 
-def fresh_data_exceed_coverage(record: Mapping[str, Any]) -> bool:
+def unused_data_exceed_coverage(record: Mapping[str, Any]) -> bool:
     """Whether data not used for the fit show a larger model error than the proof tolerates."""
     coverage = record.get("coverage")
     needed = record.get("coverage_needed")

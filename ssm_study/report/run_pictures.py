@@ -23,7 +23,7 @@ from ssm_study.study.recordings import RecordedCases
 from ssm_study.synthesis.loop_poles import eigenvalue_groups
 
 
-def picture_of_best(name: str, study: StudyFolder) -> Picture:
+def picture_of_best_run(name: str, study: StudyFolder) -> Picture:
     """Picture of the best run of a study, chosen by the picture's name. Raises `NothingToDraw` with
     the reason where the picture would be empty."""
     if study.best_run is None:

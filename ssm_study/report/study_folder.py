@@ -27,7 +27,7 @@ from ssm_study.stored_yaml import read_stored_yaml
 from ssm_study.study.recordings import RecordedCases, read_mismatch_records
 from ssm_study.systems import Gains
 from ssm_study.table.columns import text_column
-from ssm_study.table.gather import gather, record_marks, rows_differ_from_records
+from ssm_study.table.gather import gather, record_file_states, rows_differ_from_records
 from ssm_study.table.rank import sort_best_first
 
 
@@ -255,7 +255,7 @@ def gather_table(folder: Path) -> pd.DataFrame:
         raise BadRequest(
             "study", path, "the table is damaged", "run `ssm-study gather` on the study"
         ) from error
-    names = set(record_marks(folder))  # none where the table alone was kept
+    names = set(record_file_states(folder))  # none where the table alone was kept
     is_stale = bool(names) and names != set(table["run"])
     if is_stale or (names and rows_differ_from_records(folder, table)):
         return gather(folder, anew=True, must_write=False)

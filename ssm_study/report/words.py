@@ -51,8 +51,8 @@ class Units:
     input: str = ""
     output: str = ""
 
-    def physical_words(self, text: str) -> str:
-        """Printed name of a table column with the units of the plant instead of general words."""
+    def replace_words_by_units(self, text: str) -> str:
+        """Replace general words such as `output unit` in a text by the units of the plant."""
         if self.input:
             text = text.replace("unit of the input", self.input)
         if self.output:

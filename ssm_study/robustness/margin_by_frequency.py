@@ -22,7 +22,7 @@ from ssm_study.robustness.prediction import (
     loops_at_constant_slopes,
 )
 from ssm_study.robustness.sensitivity import FINE_ANGLES
-from ssm_study.systems import Balls, Gains
+from ssm_study.systems import Gains, JacobianBalls
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +40,7 @@ class MarginCurve:
 
 
 def margin_curves(
-    model: Model, gains: Gains, balls: Balls, mismatch: Mismatch
+    model: Model, gains: Gains, balls: JacobianBalls, mismatch: Mismatch
 ) -> list[MarginCurve]:
     """Stability margins as functions of frequency, one curve for each recorded input amplitude in
     ascending order.

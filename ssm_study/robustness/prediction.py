@@ -44,7 +44,7 @@ from ssm_study.robustness.sensitivity import (
     largest_singular_values,
     systems_at_constant_slopes,
 )
-from ssm_study.systems import Balls, Gains, JacobianBall, StateSpace
+from ssm_study.systems import Gains, JacobianBall, JacobianBalls, StateSpace
 
 # A plant that answers with less than this share of the model's power holds still most of the time.
 HOLDS = 0.3
@@ -77,7 +77,9 @@ class Prediction:
         return is_robust and self.controller_radius < 1 and self.noise_peak < 1
 
 
-def predict_margins(model: Model, gains: Gains, balls: Balls, mismatch: Mismatch) -> Prediction:
+def predict_margins(
+    model: Model, gains: Gains, balls: JacobianBalls, mismatch: Mismatch
+) -> Prediction:
     """Predict the stability margins on the plant of the loop with one controller and observer. They
     are zero if the loop is unstable at a slope, infinite without any model error."""
     peak = control_sensitivity_peak(model.system, gains, balls)
@@ -100,7 +102,7 @@ def margin_from_loop_gain(loop_gain: float) -> float:
 def worst_case_loop_gain(
     model: Model,
     gains: Gains,
-    balls: Balls,
+    balls: JacobianBalls,
     mismatch: Mismatch,
     cached_responses: ResponseCache | None = None,
     stop_value: float = float("inf"),
@@ -129,7 +131,7 @@ def worst_case_loop_gain(
 
 
 def loops_at_constant_slopes(
-    model: Model, gains: Gains, balls: Balls, mismatch: Mismatch
+    model: Model, gains: Gains, balls: JacobianBalls, mismatch: Mismatch
 ) -> Iterator[tuple[StateSpace, Gains, SlopePair, Mismatch]]:
     """Linear closed loops at all combinations of constant slopes of maps and neurons, each with the
     model error that applies to it."""
@@ -140,8 +142,8 @@ def loops_at_constant_slopes(
 
 
 def _group_by_amplitude(
-    model: Model, balls: Balls, mismatch: Mismatch
-) -> list[tuple[Balls, Mismatch]]:
+    model: Model, balls: JacobianBalls, mismatch: Mismatch
+) -> list[tuple[JacobianBalls, Mismatch]]:
     """Group the recorded model errors by input amplitude, each with the slopes of the static maps
     at this amplitude. The two largest amplitudes and closed-loop records are combined with all
     slopes.
@@ -352,7 +354,9 @@ def _largest_interpolated_gain(
     return max(gains)
 
 
-def output_peak_from_noise(model: Model, gains: Gains, balls: Balls, mismatch: Mismatch) -> float:
+def output_peak_from_noise(
+    model: Model, gains: Gains, balls: JacobianBalls, mismatch: Mismatch
+) -> float:
     """Largest output amplitude that the measured sensor noise causes around the equilibrium, as a
     multiple of the settling band. It is zero if the noise was not measured, or the plant does not
     move under that input."""
@@ -379,7 +383,9 @@ def output_peak_from_noise(model: Model, gains: Gains, balls: Balls, mismatch: M
     return PEAK * float(at_output) / mismatch.scaled_settling_band
 
 
-def _linearise_at_equilibrium(model: Model, gains: Gains, balls: Balls) -> tuple[StateSpace, Gains]:
+def _linearise_at_equilibrium(
+    model: Model, gains: Gains, balls: JacobianBalls
+) -> tuple[StateSpace, Gains]:
     """Linear recurrence and observer gains of a model, with each neuron replaced by its slope at
     the equilibrium."""
     slopes = None

@@ -20,7 +20,14 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from ssm_study.bounds.frequency import frequency_response, hinf_norm
-from ssm_study.systems import Balls, Gains, JacobianBall, StateSpace, System, error_input_matrix
+from ssm_study.systems import (
+    Gains,
+    JacobianBall,
+    JacobianBalls,
+    StateSpace,
+    System,
+    error_input_matrix,
+)
 
 MOST_CORNERS = 4  # neurons up to which every corner of their slopes is tried, beyond them a few
 # Frequencies (rad/sample) of the weighted peak, beside those of the loop's own modes.
@@ -46,7 +53,7 @@ def slopes_to_test(ball: JacobianBall) -> tuple[float, ...]:
 
 
 def systems_at_constant_slopes(
-    system: System, gains: Gains, balls: Balls, neuron_slopes: NeuronSlopes | None = None
+    system: System, gains: Gains, balls: JacobianBalls, neuron_slopes: NeuronSlopes | None = None
 ) -> Iterator[LoopAtSlopes]:
     """Linear system and gains for each combination of constant slopes of static maps and neurons.
     Slopes of neurons are at the corners unless given (`neuron_slopes`), where L is `L + E S
@@ -124,7 +131,7 @@ def noise_response(
     return StateSpace(a=loop.a, b=loop.b, c=c, d=d)
 
 
-def noise_gain(system: System, gains: Gains, balls: Balls) -> float:
+def noise_gain(system: System, gains: Gains, balls: JacobianBalls) -> float:
     """Largest closed-loop gain from the sensor noise to the model's output, over all frequencies
     and constant slopes.
 
@@ -134,7 +141,7 @@ def noise_gain(system: System, gains: Gains, balls: Balls) -> float:
     return max(hinf_norm(noise_response(*end)) for end in combinations)
 
 
-def control_sensitivity_peak(system: System, gains: Gains, balls: Balls) -> float:
+def control_sensitivity_peak(system: System, gains: Gains, balls: JacobianBalls) -> float:
     """Peak of the control sensitivity: largest closed-loop gain from an error of the output to the
     input, over all frequencies and constant slopes. `max ||T_ue||_inf`; infinite if one of these
     loops is unstable."""
@@ -143,7 +150,7 @@ def control_sensitivity_peak(system: System, gains: Gains, balls: Balls) -> floa
 
 
 def controller_spectral_radius(
-    system: System, gains: Gains, balls: Balls
+    system: System, gains: Gains, balls: JacobianBalls
 ) -> Float[np.ndarray, "*pairs"]:
     """Largest spectral radius of controller and observer while the plant's output is constant, over
     constant slopes of the static maps. The internal model is left out.
@@ -228,7 +235,7 @@ def gain_peaks_on_grid(
     system: System,
     controller_gains: Float[np.ndarray, "C m s"],
     observer_gains: Float[np.ndarray, "O n p"],
-    balls: Balls,
+    balls: JacobianBalls,
     angles: Angles,
     weights: Angles | float = 1.0,
     neuron_injections: Float[np.ndarray, "O q p"] | None = None,

@@ -24,13 +24,13 @@ from ssm_study.robustness.sensitivity import (
 )
 from ssm_study.robustness.single_sines import SineMismatch, add_sine_errors, measure_error_at_sine
 from ssm_study.signals import Trajectories
-from ssm_study.systems import Balls, Gains
+from ssm_study.systems import Gains, JacobianBalls
 
 PEAKS = 2  # frequencies at most
 FEWEST_LINES = 4  # periods of the sine in one period of the record, at least
 
 
-def peak_frequencies(model: Model, gains: Gains, balls: Balls) -> list[float]:
+def peak_frequencies(model: Model, gains: Gains, balls: JacobianBalls) -> list[float]:
     """Frequencies (rad/sample) of the local peaks of the closed loop's gain from an error of the
     output to the input, the largest peak first. The sensitivity is `|T_ue|`."""
     size = np.zeros(len(FINE_ANGLES))
@@ -47,7 +47,9 @@ def peak_frequencies(model: Model, gains: Gains, balls: Balls) -> list[float]:
     return [float(angle) for angle in FINE_ANGLES[largest_first]]
 
 
-def sensitive_spectral_lines(model: Model, gains: Gains, balls: Balls, period: int) -> list[int]:
+def sensitive_spectral_lines(
+    model: Model, gains: Gains, balls: JacobianBalls, period: int
+) -> list[int]:
     """Spectral lines at which single sines test a closed loop, nearest to the highest peaks of its
     control sensitivity. They are lines of a period, at peaks of `|T_ue|`."""
     lines: list[int] = []
@@ -59,7 +61,7 @@ def sensitive_spectral_lines(model: Model, gains: Gains, balls: Balls, period: i
 
 
 def line_of_smallest_margin(
-    model: Model, pair: Gains, balls: Balls, mismatch: Mismatch, period: int
+    model: Model, pair: Gains, balls: JacobianBalls, mismatch: Mismatch, period: int
 ) -> int | None:
     """Spectral line at which the broadband records give the smallest stability margin; None if no
     margin is known. The lowest frequencies, below the first band, are left out: what counts there

@@ -171,7 +171,7 @@ def excitation_pairs(run: RunFiles, records: DataSet) -> dict[str, tuple[Any, An
     """Stored inputs and disturbances of the training records, each paired with its recomputed
     value."""
     inputs = [record.u for record in records.training]
-    pairs = label_pairs(run.inputs, inputs, "u ")
+    pairs = label_pairs(run.recorded_training_inputs, inputs, "u ")
     recomputed = [record.d for record in records.training if record.d is not None]
     pairs["disturbances"] = (len(run.disturbances), len(recomputed))
     if len(run.disturbances) == len(recomputed):

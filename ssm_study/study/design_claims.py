@@ -59,7 +59,7 @@ from ssm_study.synthesis.sine_judgement import (
     sine_coverage_columns,
 )
 from ssm_study.synthesis.withheld_coverage import withhold_coverage
-from ssm_study.systems import Balls, System
+from ssm_study.systems import JacobianBalls, System
 
 COVERAGE_COLUMNS = ("coverage", "coverage_reason", "coverage_reference", "coverage_needed")
 
@@ -262,7 +262,7 @@ def recompute_fresh_data_column(
 
 
 def recompute_sine_columns(
-    run: RunFiles, balls: Balls, mismatch: Mismatch, coverage: float | None
+    run: RunFiles, balls: JacobianBalls, mismatch: Mismatch, coverage: float | None
 ) -> dict[str, Any]:
     """Recompute the recorded results of single-sine tests by simulating the tests again. Empty for
     a run made before such tests existed; `coverage` is that over the run's records, which earlier

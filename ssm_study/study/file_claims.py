@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from ssm_study.durable import read_limited_bytes, read_sealed_json
+from ssm_study.durable import read_json_with_digest, read_limited_bytes
 from ssm_study.engine.records import RECORD
 from ssm_study.engine.stages import Stage
 from ssm_study.engine.store import MANIFEST, damaged_files
@@ -32,7 +32,7 @@ NOT_CHOSEN_AGAIN = "the gains are checked; that these settings chose them is not
 def check_files(run: RunFiles) -> Claims:
     """Check that every file of a run exists, has a stored checksum and is unchanged."""
     path = run.path / MANIFEST
-    manifest = read_sealed_json(read_limited_bytes(path)) if path.is_file() else None
+    manifest = read_json_with_digest(read_limited_bytes(path)) if path.is_file() else None
     damaged = damaged_files(run.path, manifest) if manifest else [MANIFEST]
     changed = f"changed since: {', '.join(damaged)}"
     observation = changed if damaged else "as they were written"

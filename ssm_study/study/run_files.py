@@ -172,7 +172,7 @@ class RunFiles:
         return Design.from_json(self.certificate)
 
     @cached_property
-    def inputs(self) -> list[Float[np.ndarray, "_ m"]]:
+    def recorded_training_inputs(self) -> list[Float[np.ndarray, "_ m"]]:
         """Inputs of the training records of a run, as stored in `excitation.mcap`."""
         recording = RecordedCases.from_file(self.path / "excitation.mcap")
         return [signal.values for signal in recording.signals("input")]
@@ -187,7 +187,7 @@ class RunFiles:
     @property
     def training_inputs(self) -> list[Float[np.ndarray, "_ m"]]:
         """Inputs of the training records of a run, with the equilibrium input appended."""
-        return self.model.scale.append_equilibrium_input(self.inputs)
+        return self.model.scale.append_equilibrium_input(self.recorded_training_inputs)
 
     @property
     def excitation(self) -> dict[str, float]:

@@ -25,7 +25,7 @@ def unverifiable_numbers(run: RunFiles) -> dict[str, str]:
     """
     scale = run.model.scale
     simulated = (run.simulated.validation, run.simulated.test)
-    inputs = [*run.inputs, *(record.u for record in run.mismatch_records)]
+    inputs = [*run.recorded_training_inputs, *(record.u for record in run.mismatch_records)]
     outputs: list[np.ndarray] = []
     for part in simulated:
         inputs += [record.u for record in part.records]

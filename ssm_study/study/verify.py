@@ -122,8 +122,8 @@ def finding_lines(findings: Sequence[Checked]) -> list[str]:
 
 
 def _finding_text(finding: Checked) -> str:
-    """Reason for a failed check, by which failures are grouped. If no file determines the column,
-    the stored value is left out."""
+    """Text that says why a check failed; failed checks with the same text are printed in one line.
+    If no file determines the column, the stored value is left out."""
     return UNGIVEN if finding.found.endswith(UNGIVEN) else finding.found
 
 
@@ -250,8 +250,8 @@ def compare_column(name: str, stored: Any, value: Any) -> Checked:
 
 
 def _is_equal_to_rounding(stored: Any, value: Any, column: Column) -> bool:
-    """Whether two values are equal, or are numbers that differ only by rounding between
-    machines."""
+    """Whether a stored value equals the recomputed one, except for rounding errors of numbers,
+    which differ between machines."""
     if isinstance(value, float) and type(stored) in (int, float):
         largest_error = column.tolerance * abs(value) + column.resolution
         try:
@@ -262,6 +262,6 @@ def _is_equal_to_rounding(stored: Any, value: Any, column: Column) -> bool:
 
 
 def _short_text(value: Any) -> str:
-    """Value as a short text for a finding."""
+    """Text of a value in one line of at most 80 characters, for the result of a check."""
     text = escape_control_characters(" ".join(str(value).split()))
     return text if len(text) <= 80 else f"{text[:77]}..."

@@ -31,7 +31,7 @@ from ssm_study.synthesis.design import Synthesis, require_contraction_rate
 from ssm_study.synthesis.expected_response import ATTEMPTS, FASTER, ExpectedResponse, RankedPair
 from ssm_study.synthesis.measured_discs_choice import Search, choose_covering_design
 from ssm_study.synthesis.measured_discs_run import seeks_coverage
-from ssm_study.systems import Balls
+from ssm_study.systems import JacobianBalls
 
 # Frequencies (rad/sample) that rank the candidates; the chosen one is then judged on a finer grid.
 GRID_ANGLES = np.geomspace(1e-3, np.pi, 240)
@@ -126,7 +126,7 @@ class Auto:
         setting is `auto`."""
         return self.rate if requested_rate == "auto" else requested_rate
 
-    def candidates(self, model: Model, balls: Balls) -> Candidates | None:
+    def candidates(self, model: Model, balls: JacobianBalls) -> Candidates | None:
         """Candidate gains at all rates and weights of the grid with a Riccati solution; None if
         controller or observer has no candidate."""
         return self.grid.candidates(model, balls)
@@ -134,7 +134,7 @@ class Auto:
     def design(
         self,
         model: Model,
-        balls: Balls,
+        balls: JacobianBalls,
         validation: Trajectories = (),
         mismatch: Mismatch | None = None,
     ) -> Design:
@@ -207,7 +207,11 @@ class Auto:
         return search_covered_design
 
     def _largest_margin_design(
-        self, model: Model, balls: Balls, candidates: Candidates, peaks: Float[np.ndarray, "C O"]
+        self,
+        model: Model,
+        balls: JacobianBalls,
+        candidates: Candidates,
+        peaks: Float[np.ndarray, "C O"],
     ) -> Design:
         """Design with the largest stability margin among the candidate gains, and why no other
         design was preferred."""
@@ -248,7 +252,7 @@ class Auto:
         margin."""
         return replace(self, margin=float("inf"))
 
-    def _slowest_design(self, model: Model, balls: Balls) -> Design:
+    def _slowest_design(self, model: Model, balls: JacobianBalls) -> Design:
         """Design at the slowest rates and smallest weights of the grid, which shows why no design
         has a certificate."""
         grid = self.grid
@@ -303,7 +307,7 @@ class CertifiedDesigns:
 
 
 def loop_gains_on_coarse_grid(
-    model: Model, balls: Balls, candidates: Candidates, mismatch: Mismatch
+    model: Model, balls: JacobianBalls, candidates: Candidates, mismatch: Mismatch
 ) -> Float[np.ndarray, "C O"]:
     """Largest loop gain over a coarse frequency grid for every pair of controller and observer;
     infinite where the loop is unstable."""

@@ -18,7 +18,7 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model, evaluate_activations
 from ssm_study.synthesis.candidates import Candidates, GainCandidate
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import Balls, JacobianBall, StateSpace, System
+from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace, System
 
 Slopes = Float[np.ndarray, "q"]
 # Share of the rate that a model has by itself: the most cautious request, whose gain may vanish.
@@ -67,7 +67,7 @@ class CandidateGrid:
             for weight in weights
         ]
 
-    def candidates(self, model: Model, balls: Balls) -> Candidates | None:
+    def candidates(self, model: Model, balls: JacobianBalls) -> Candidates | None:
         """Candidate gains at all rates and weights of the grid with a Riccati solution; None if
         controller or observer has no candidate."""
         if any(abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output)):

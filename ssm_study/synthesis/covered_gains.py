@@ -31,7 +31,7 @@ from ssm_study.synthesis.expected_response import FASTER
 from ssm_study.synthesis.integrated_error import relative_response_areas
 from ssm_study.synthesis.measured_discs_choice import LoopCoverage, usual_overestimation_factor
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
-from ssm_study.systems import Balls, Gains
+from ssm_study.systems import Gains, JacobianBalls
 
 PROPOSALS = 8  # pairs of gains in one round
 FIRST_STEP = 0.15  # standard deviation of the logarithm of each entry's factor
@@ -75,7 +75,7 @@ class GainSearch:
     """
 
     model: Model
-    balls: Balls
+    balls: JacobianBalls
     premise: ModelErrorSpectra
     mismatch: Mismatch
     validation: Trajectories

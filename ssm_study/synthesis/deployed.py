@@ -37,7 +37,7 @@ from ssm_study.certificates.withdrawn_parts import TOLERANCE
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.refusal import BadRequest, require
-from ssm_study.systems import Balls
+from ssm_study.systems import JacobianBalls
 
 Inputs = Float[np.ndarray, "m"]
 Outputs = Float[np.ndarray, "p"]
@@ -45,7 +45,7 @@ EVERYWHERE, SETS = OF_LIMITS  # as `certificate.json` names them
 
 
 def add_gain_certificates(
-    design: Design, model: Model, balls: Balls, limits: tuple[Inputs, Inputs] | None = None
+    design: Design, model: Model, balls: JacobianBalls, limits: tuple[Inputs, Inputs] | None = None
 ) -> Design:
     """Add to a design all further certificates that can be proved for its gains, each decided in
     exact arithmetic. They are largest rates, tolerance, and the effect of physical input `limits`.
@@ -78,7 +78,7 @@ def add_largest_rate_certificates(design: Design) -> Design:
     return replace(design, extra_certificates=certificates)
 
 
-def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem | None:
+def tolerance_certificate(design: Design, model: Model, balls: JacobianBalls) -> Theorem | None:
     """Certificate of the largest model error, as a gain from the input, with which the closed loop
     is proved to come to rest. None for gains certified by another class, and if none is proved."""
     feedback = design.state_feedback

@@ -45,7 +45,7 @@ from ssm_study.certificates.theorems.structured_state_feedback import Structured
 from ssm_study.refusal import BadRequest, require, require_at_least, require_positive
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import Trajectories
-from ssm_study.systems import Balls, JacobianBall, StructuredSystem, System
+from ssm_study.systems import JacobianBall, JacobianBalls, StructuredSystem, System
 
 ILL = 1e6  # a metric of a smaller condition number gains nothing from fewer states
 MOST_CONDITION = (
@@ -182,7 +182,7 @@ class DesignAttempt:
 
 
 def failed_checks(
-    content: dict[str, Any], system: Any, balls: Balls, controlled: Any = None
+    content: dict[str, Any], system: Any, balls: JacobianBalls, controlled: Any = None
 ) -> list[str]:
     """One sentence for each claim in a stored `certificate.json` that does not hold for the model.
 
@@ -322,7 +322,7 @@ class Synthesis(ABC):
     def design(
         self,
         model: Any,
-        balls: Balls,
+        balls: JacobianBalls,
         validation: Trajectories = (),  # noqa: ARG002  # `auto` chooses by the records
         mismatch: Mismatch | None = None,  # noqa: ARG002
     ) -> Design:

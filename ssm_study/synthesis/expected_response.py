@@ -30,7 +30,7 @@ from ssm_study.synthesis.decay_response import (
     simulate_decays,
 )
 from ssm_study.synthesis.integrated_error import relative_response_areas
-from ssm_study.systems import Balls, Gains
+from ssm_study.systems import Gains, JacobianBalls
 
 Pair = Int[np.ndarray, "2"]
 Rank = tuple[bool, float]
@@ -73,7 +73,7 @@ class ExpectedResponse:
     response."""
 
     model: Model
-    balls: Balls
+    balls: JacobianBalls
     candidates: Candidates
     mismatch: Mismatch
     margin: float

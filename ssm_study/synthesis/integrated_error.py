@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from ssm_study.models.structured import Model, linearise_at_equilibrium
 from ssm_study.signals import Ends, Trajectories
-from ssm_study.systems import Gains, StateSpace, error_input_matrix, frozen_modes
+from ssm_study.systems import Gains, StateSpace, error_input_matrix, stopped_integrator_matrix
 
 InitialStates = Float[np.ndarray, "N n"]
 Loads = Float[np.ndarray, "N k"]
@@ -197,7 +197,7 @@ def _response_areas(
         is_free = (u == requested).all(axis=2, keepdims=True)
         free_modes = z @ modes.T
         moved = free_modes + y @ into_modes.T
-        frozen = z @ frozen_modes(modes).T
+        frozen = z @ stopped_integrator_matrix(modes).T
         next_z = np.where(is_free, moved, frozen)
         z = np.clip(next_z, -LARGEST, LARGEST)
         x = model.advance(x, loaded)

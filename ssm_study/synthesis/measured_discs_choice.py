@@ -22,7 +22,7 @@ from ssm_study.models.structured import Model
 from ssm_study.robustness.coverage import ModelErrorSpectra
 from ssm_study.robustness.coverage_items import DiscRequirement
 from ssm_study.synthesis.measured_discs_run import exclusion_reason, seeks_coverage
-from ssm_study.systems import Balls, StructuredSystem
+from ssm_study.systems import JacobianBalls, StructuredSystem
 
 LOOKED_AT = (0, 1, 2, 4, 7, 11, 16, 23, 32, 45, 60, 85, 120, 170, 240, 320)  # of one layer
 WITH_NEURONS = (0, 3, 10, 25)  # each takes a second
@@ -45,7 +45,7 @@ def choose_covering_design(
     pairs: Iterator[Any],
     make_design: Make,
     model: Model,
-    balls: Balls,
+    balls: JacobianBalls,
     premise: ModelErrorSpectra | None,
     requested_coverage: float | None,
     search: Search | None = None,
@@ -203,7 +203,7 @@ class LoopCoverage:
         cls,
         model: Model,
         controlled_system: Any,
-        balls: Balls,
+        balls: JacobianBalls,
         premise: ModelErrorSpectra,
         deciding_angles: dict[float, Float[np.ndarray, "D"]] | None = None,
     ) -> "LoopCoverage":
@@ -279,7 +279,7 @@ class LoopCoverage:
 def tolerated_disc_radius(
     design: Design,
     model: Model,
-    balls: Balls,
+    balls: JacobianBalls,
     premise: ModelErrorSpectra,
     sufficient_radius: float = np.inf,
     least_radius: float = 0.0,

@@ -24,7 +24,7 @@ from ssm_study.robustness.coverage import DiscWeights, ModelErrorSpectra, measur
 from ssm_study.robustness.coverage_items import DiscRequirement
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import Trajectories
-from ssm_study.systems import Balls
+from ssm_study.systems import JacobianBalls
 
 PART = MeasuredDiscs.part
 INJECTED = "the observer injects into neurons that enter the output, and the theorem excludes that"
@@ -46,7 +46,7 @@ def seeks_coverage(
 
 
 def add_coverage_certificate(
-    design: Design, model: Model, balls: Balls, premise: ModelErrorSpectra
+    design: Design, model: Model, balls: JacobianBalls, premise: ModelErrorSpectra
 ) -> Design:
     """Add to a design a certificate that holds for as large a multiple of the recorded model error
     as possible. Without such a certificate the design stays unchanged."""

@@ -21,7 +21,7 @@ from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.sensitivity import noise_gain
 from ssm_study.synthesis.deployed import SETS, RangeWithinLimits
-from ssm_study.systems import Balls, StructuredSystem
+from ssm_study.systems import JacobianBalls, StructuredSystem
 
 OPINION = "another solver's opinion, which decides nothing"
 
@@ -139,7 +139,7 @@ COLUMNS = (
 
 
 def design_columns(
-    design: Design, model: Model, balls: Balls, mismatch: Mismatch
+    design: Design, model: Model, balls: JacobianBalls, mismatch: Mismatch
 ) -> dict[str, Any]:
     """Table columns of a design: feasible, certified, distance from the largest provable rate, gain
     sizes, predicted stability.
@@ -235,7 +235,7 @@ def common_range_columns(
     return {}
 
 
-def paper_feasibility_columns(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
+def paper_feasibility_columns(design: Design, model: Model, balls: JacobianBalls) -> dict[str, Any]:
     """Table columns on whether an independent solver finds the matrix inequalities of Zakwan et al.
     feasible at a design's rates."""
     from ssm_study.synthesis.lmi import (

@@ -23,13 +23,13 @@ from ssm_study.robustness.sine_trials import (
     sensitive_spectral_lines,
 )
 from ssm_study.synthesis.measured_discs_run import disc_weights
-from ssm_study.systems import Balls
+from ssm_study.systems import JacobianBalls
 
 
 def spectral_lines_to_test(
     design: Design,
     model: Model,
-    balls: Balls,
+    balls: JacobianBalls,
     mismatch: Mismatch,
     period: int,
     *,
@@ -52,7 +52,7 @@ def spectral_lines_to_test(
 def measure_error_with_simulated_sines(
     design: Design,
     model: Model,
-    balls: Balls,
+    balls: JacobianBalls,
     mismatch: Mismatch,
     data: Any,
     plant: Any,
@@ -70,7 +70,11 @@ def measure_error_with_simulated_sines(
 
 
 def sine_columns(
-    design: Design, model: Model, balls: Balls, mismatch: Mismatch, sines: Sequence[SineMismatch]
+    design: Design,
+    model: Model,
+    balls: JacobianBalls,
+    mismatch: Mismatch,
+    sines: Sequence[SineMismatch],
 ) -> dict[str, Any]:
     """Table columns of stability margin and prediction with single-sine experiments included;
     empty if no such experiment was made."""

@@ -14,8 +14,8 @@ from pandas.api.types import infer_dtype
 from ssm_study.columns import Column, Kind
 from ssm_study.durable import (
     add_digest,
+    read_json_with_digest,
     read_limited_bytes,
-    read_sealed_json,
     sha256_of_file,
     write_atomically,
     write_json_atomically,
@@ -27,7 +27,7 @@ from ssm_study.table.columns import BY_NAME, find_declaration
 PARQUET = "runs.parquet"
 CSV = "runs.csv"
 MARKS = ".gathered.json"
-Marks = dict[str, list[int]]
+FileStates = dict[str, list[int]]
 # Kind of a column that nobody declares, by what pandas infers; all else is text.
 KINDS: dict[str, Kind] = {
     "boolean": "boolean",
@@ -54,7 +54,7 @@ def gather(study: Path, anew: bool = False, must_write: bool = True) -> pd.DataF
     remedy = "give the folder that holds the run folders"
     is_folder = study.is_dir()
     require(is_folder, "study", study, "no such study folder", remedy)
-    marks = record_marks(study)
+    marks = record_file_states(study)
     has_runs = bool(marks)
     require(has_runs, "study", study, "there is no run in it", remedy)
     last_table, last_marks = (NO_RUNS, {}) if anew else _read_last_table(study)
@@ -67,7 +67,7 @@ def gather(study: Path, anew: bool = False, must_write: bool = True) -> pd.DataF
         return last_table
     is_unchanged = last_table["run"].isin(unchanged)
     rows = last_table[is_unchanged]
-    old_records = _records_by_run(rows)
+    old_records = _rows_by_run(rows)
     study_name = study.resolve().name
     records = []
     for name in sorted(marks):
@@ -84,7 +84,7 @@ def gather(study: Path, anew: bool = False, must_write: bool = True) -> pd.DataF
     return table
 
 
-def _write_table(study: Path, table: pd.DataFrame, marks: Marks) -> None:
+def _write_table(study: Path, table: pd.DataFrame, marks: FileStates) -> None:
     """Write a study's table to its files, together with the file times by which a later change of a
     record is noticed."""
     parquet = io.BytesIO()
@@ -99,7 +99,7 @@ def _write_table(study: Path, table: pd.DataFrame, marks: Marks) -> None:
     write_json_atomically(study / MARKS, add_digest(body))
 
 
-def record_marks(study: Path) -> Marks:
+def record_file_states(study: Path) -> FileStates:
     """Modification time, size and inode of each run's record file, by the name of the run."""
     with os.scandir(study) as entries:
         visible = [entry for entry in entries if not entry.name.startswith(".")]
@@ -114,11 +114,11 @@ def record_marks(study: Path) -> Marks:
     return marks
 
 
-def _read_last_table(study: Path) -> tuple[pd.DataFrame, Marks]:
+def _read_last_table(study: Path) -> tuple[pd.DataFrame, FileStates]:
     """Read the last gathered results table, with the file times of its records; empty if its files
     were changed."""
     with suppress(OSError):
-        index = read_sealed_json(read_limited_bytes(study / MARKS))
+        index = read_json_with_digest(read_limited_bytes(study / MARKS))
         if index is not None:
             files = (PARQUET, CSV)
             if all(sha256_of_file(study / name) == index[name] for name in files):
@@ -130,7 +130,7 @@ def _read_last_table(study: Path) -> tuple[pd.DataFrame, Marks]:
 def rows_differ_from_records(study: Path, rows: pd.DataFrame) -> bool:
     """Whether any row of a results table differs from the record of its run. Declared columns are
     compared."""
-    records = _records_by_run(rows)
+    records = _rows_by_run(rows)
     for run, row in records.items():
         identity = {"study": row["study"], "run": run}
         record = (read_record(study / run) or {}) | identity
@@ -145,7 +145,7 @@ def rows_differ_from_records(study: Path, rows: pd.DataFrame) -> bool:
     return False
 
 
-def _records_by_run(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
+def _rows_by_run(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
     """Rows of a results table as dictionaries, keyed by the name of the run, with None for missing
     values."""
     columns = [values.astype(object).where(values.notna(), None) for _, values in rows.items()]

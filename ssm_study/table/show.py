@@ -67,14 +67,17 @@ def show_table(
     """
     table, rows = gather_rows(study, by, where)
     if columns or cost:
-        lines = column_lines(table) if columns else cost_lines(rows)
+        lines = column_lines(table) if columns else computing_time_lines(rows)
         print("\n".join(lines))
         return table
     print_rows(rows, by)
     for line in seed_statistics_lines(rows):
         print(line)
     shown_count = len(rows)
-    for line in [*summary_lines(table, printed_count=shown_count), *row_count_doubts(study, table)]:
+    for line in [
+        *status_summary_lines(table, printed_count=shown_count),
+        *row_count_doubts(study, table),
+    ]:
         print(SUMMARY_LINES.fill(line))
     return table
 
@@ -122,7 +125,7 @@ def column_lines(table: pd.DataFrame) -> list[str]:
     return lines
 
 
-def stage_costs(table: pd.DataFrame) -> pd.DataFrame:
+def stage_computing_times(table: pd.DataFrame) -> pd.DataFrame:
     """Table of the computing time of each step (stage) of a study, the longest first.
 
     Each distinct one counts once, here or in an earlier study: how many runs needed it, how many
@@ -149,12 +152,12 @@ def stage_costs(table: pd.DataFrame) -> pd.DataFrame:
     return costs.sort_values("spent_s", ascending=False, kind="stable")
 
 
-def cost_lines(table: pd.DataFrame) -> list[str]:
+def computing_time_lines(table: pd.DataFrame) -> list[str]:
     """Text lines with the computing time of each step (stage) of a study.
 
     Stage, runs, how many are distinct, how many reused, time of each, of all, time saved.
     """
-    costs = stage_costs(table)
+    costs = stage_computing_times(table)
     counts_head = f"{'stage':<14}{'runs':>7}{'distinct':>10}{'reused':>8}"
     lines = [f"{counts_head}{'each':>10}{'cost':>10}{'saved':>10}"]
     for name, runs, distinct, spent_s, saved_s in costs.itertuples(name=None):
@@ -285,7 +288,7 @@ def format_cell(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else escape_control_characters(str(value))
 
 
-def summary_lines(table: pd.DataFrame, printed_count: int) -> list[str]:
+def status_summary_lines(table: pd.DataFrame, printed_count: int) -> list[str]:
     """Text lines with the number of a study's runs of each status, and with the reasons why
     runs failed or were not certified."""
     run = short_run_names(table["run"])

@@ -29,7 +29,7 @@ from ssm_study.synthesis.candidate_grid import OWN_SHARE
 from ssm_study.synthesis.expected_response import LOSS, expected_response_area
 from ssm_study.synthesis.integrated_error import relative_response_areas
 from ssm_study.synthesis.structured_lmi import StructuredLmi
-from ssm_study.systems import Balls, Gains, JacobianBall
+from ssm_study.systems import Gains, JacobianBall, JacobianBalls
 
 SMALL = Auto(
     stretch_shares=(0.1, 0.6),
@@ -68,7 +68,7 @@ FEW = {
 }
 
 
-def with_neurons() -> tuple[StructuredSSM, Balls, Trajectory]:
+def with_neurons() -> tuple[StructuredSSM, JacobianBalls, Trajectory]:
     """A model with neurons, and a record that misses it by noise."""
     stand = model()
     rng = np.random.default_rng(0)

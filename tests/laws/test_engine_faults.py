@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from ssm_study.durable import read_sealed_json, write_json_atomically
+from ssm_study.durable import read_json_with_digest, write_json_atomically
 from ssm_study.engine.records import RECORD, read_record
 from ssm_study.engine.runs import Run, execute_run
 from ssm_study.engine.settings import digest_of_value
@@ -312,7 +312,7 @@ def test_a_study_on_a_full_disk_is_finished_once_there_is_room(small_disk: Path)
     assert set(command()) - {"ok"}, "the disk was not full"
     for record in (small_disk / "study").glob(f"*/{RECORD}"):
         content = record.read_bytes()
-        assert read_sealed_json(content) is not None
+        assert read_json_with_digest(content) is not None
     ballast.unlink()
     assert command() == ["ok"] * 6
     fit_test_percent = gather(small_disk / "study")["fit_test_percent"]

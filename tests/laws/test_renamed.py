@@ -15,8 +15,8 @@ from ssm_study import renamed
 from ssm_study.cli.request import translate_arguments
 from ssm_study.durable import (
     add_digest,
+    read_json_with_digest,
     read_limited_bytes,
-    read_sealed_json,
     write_json_atomically,
 )
 from ssm_study.engine.records import CORRUPT, parse_record, read_record, write_record
@@ -237,7 +237,7 @@ def written(folder: Path, record: dict[str, object]) -> bytes:
 @pytest.mark.parametrize("version", [0, 4, "2", True, None, 1.0])
 def test_a_record_of_an_unknown_version_is_corrupt(tmp_path: Path, version: object) -> None:
     stored = written(tmp_path, {"record_version": version, "status": "ok"})
-    assert read_sealed_json(stored) is not None
+    assert read_json_with_digest(stored) is not None
     expected = {"status": CORRUPT}
     assert parse_record(stored) == expected
     content = written(tmp_path, {"record_version": 1, "status": "ok"})

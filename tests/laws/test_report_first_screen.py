@@ -9,7 +9,7 @@ import report_tables
 from report_browser import complaints, count_shown_runs, groups_shown, wait_for
 from report_runs import random_run, write_recordings
 
-from ssm_study.report.page.amplitudes import physical_coverage_reference
+from ssm_study.report.page.amplitudes import coverage_reference_text
 from ssm_study.report.page.data import mask_meaningless_values, slider_settings
 from ssm_study.report.page.first_screen import outcome_remarks
 from ssm_study.report.page.provenance import configuration_text, log_text, provenance_lines
@@ -277,14 +277,14 @@ def test_the_record_that_decides_a_coverage_is_named_in_the_unit_of_the_input(
     content = '{"input_scale": [2.86], "step_s": 0.01}'
     (tmp_path / "model.json").write_text(content)
     run = RunFolder(path=tmp_path)
-    assert physical_coverage_reference("input of rms 0.1, in total", run, "V") == (
+    assert coverage_reference_text("input of rms 0.1, in total", run, "V") == (
         "input of rms 0.29 V, in total"
     )
-    angle = physical_coverage_reference("input of rms 0.1, 0.00 to 0.63 rad/sample", run, "V")
+    angle = coverage_reference_text("input of rms 0.1, 0.00 to 0.63 rad/sample", run, "V")
     assert angle == "input of rms 0.29 V, 0 to 10 Hz"
-    unread = physical_coverage_reference("input of rms 0.1, in total", None, "V")
+    unread = coverage_reference_text("input of rms 0.1, in total", None, "V")
     assert unread == "input of rms 0.1 input scales, in total"
-    assert physical_coverage_reference("trials in closed loop", run, "V") == "trials in closed loop"
+    assert coverage_reference_text("trials in closed loop", run, "V") == "trials in closed loop"
 
 
 def write_sweep_page(folder: Path) -> Path:

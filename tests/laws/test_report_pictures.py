@@ -9,7 +9,7 @@ import pytest
 from report_runs import random_model, random_run, write_recordings
 
 from ssm_study import style
-from ssm_study.api.pictures.bode import bode_picture, record_gain_ratio
+from ssm_study.api.pictures.bode import bode_picture, input_map_gain_ratio
 from ssm_study.api.pictures.coverage import coverage_requirement_text
 from ssm_study.api.pictures.drawing import draw_picture
 from ssm_study.api.pictures.margin import amplitude_text
@@ -148,7 +148,7 @@ def test_the_line_at_the_records_gain_meets_what_the_record_shows(kind: str) -> 
     u = input_equilibrium + scale * deviation
     y = model.scaffold_in(deviation)
     record = Trajectory(u=u, y=y, step_s=0.01)
-    ratio = record_gain_ratio(model, record)
+    ratio = input_map_gain_ratio(model, record)
     input_at_rest = np.zeros(1)
     slopes_at_rest = model.scaffold_in.jacobian(input_at_rest)
     slope_at_rest = slopes_at_rest[0, 0]

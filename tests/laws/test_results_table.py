@@ -17,7 +17,7 @@ from ssm_study.table.columns import COLUMNS
 from ssm_study.table.filters import filter_rows
 from ssm_study.table.gather import gather
 from ssm_study.table.rank import rank_runs
-from ssm_study.table.show import render_table, show_table, summary_lines
+from ssm_study.table.show import render_table, show_table, status_summary_lines
 
 CERTIFIED_RUN = {
     "run": "a",
@@ -292,7 +292,7 @@ def test_no_cell_is_a_formula_and_no_name_commands_the_terminal(study: Path) -> 
     # The table itself says what it was.
     message = table.set_index("run").loc["c", "error_message"]
     assert message == formula
-    summary = "\n".join(summary_lines(table, 5))
+    summary = "\n".join(status_summary_lines(table, 5))
     printed = render_table(table) + summary
     assert "\x1b" not in printed
     assert "\\x1b[2J" in printed

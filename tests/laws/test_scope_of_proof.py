@@ -9,10 +9,10 @@ import ssm_study as st
 from ssm_study.api.design import Design
 from ssm_study.api.scope_of_proof import (
     describe_deciding_band,
-    describe_frequency,
     describe_simulated_loop,
-    describe_unproved,
     requested_rate,
+    smallest_coverage_band_text,
+    unproved_properties_text,
 )
 from ssm_study.api.summaries import summarise_gain_certificate
 
@@ -40,7 +40,7 @@ FREQUENCIES = [
 
 @pytest.mark.parametrize(("reference", "words"), FREQUENCIES)
 def test_a_frequency_is_given_in_hertz(reference: str, words: str) -> None:
-    assert describe_frequency(reference, 1.0) == words
+    assert smallest_coverage_band_text(reference, 1.0) == words
 
 
 def test_the_coverage_names_its_frequency_and_the_missing_power_there(design: Design) -> None:
@@ -76,11 +76,11 @@ def test_a_plant_that_is_not_covered_is_not_proved_to_rest(design: Design) -> No
     words = "that the plant itself comes to rest"
     too_little = {"coverage": 0.8}
     uncovered = replace(design, stored_record=too_little)
-    unproved = describe_unproved(uncovered)
+    unproved = unproved_properties_text(uncovered)
     assert words in unproved
     enough = {"coverage": 2.2}
     covered = replace(design, stored_record=enough)
-    unproved_of_covered = describe_unproved(covered)
+    unproved_of_covered = unproved_properties_text(covered)
     assert words not in unproved_of_covered
 
 

@@ -20,7 +20,7 @@ from ssm_study.signals import Trajectory
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.deployed import add_gain_certificates
 from ssm_study.synthesis.metrics import design_columns
-from ssm_study.systems import Balls, JacobianBall, StateSpace
+from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace
 
 GRIDS = {
     "stretch_shares": (0.9,),
@@ -83,7 +83,7 @@ OUTPUTS = (wandering_output, output_of_the_motor)
 INTEGRAL_WEIGHTS: tuple[tuple[float, ...], ...] = ((), (0.3,))
 
 
-def draw_model(kind: str, rng: np.random.Generator) -> tuple[SSM, Balls]:
+def draw_model(kind: str, rng: np.random.Generator) -> tuple[SSM, JacobianBalls]:
     """A model of these matrices, and the balls of its maps.
 
     One in four has directions that the input does not reach, one in four has directions that the
@@ -105,7 +105,7 @@ def draw_model(kind: str, rng: np.random.Generator) -> tuple[SSM, Balls]:
     lower = float(rng.choice([1e-9, 1e-3, 0.12, 1.0]))
     input_ball = JacobianBall.from_slopes(lower, 1.0)
     output_ball = JacobianBall(alpha=1.0, beta=0.0)
-    balls = Balls(input=input_ball, output=output_ball)
+    balls = JacobianBalls(input=input_ball, output=output_ball)
     return replace(motor_model(), linear=linear), balls
 
 

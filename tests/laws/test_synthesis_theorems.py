@@ -21,7 +21,7 @@ from ssm_study.certificates.theorem import find_theorem
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.synthesis.design import DesignAttempt, failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import Balls, JacobianBall, StateSpace
+from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace
 
 FOLDER = Path(__file__).resolve().parents[2] / "ssm_study" / "certificates" / "theorems"
 FILES = sorted(path for path in FOLDER.glob("*.py") if path.name != "__init__.py")
@@ -315,7 +315,9 @@ class BothEndsSynthesis(Synthesis):
     def solve(self, problem: Any) -> Any:
         return minimum_energy_solution(problem)
 '''
-BALLS = Balls(input=JacobianBall.from_slopes(0.5, 1.0), output=JacobianBall.from_slopes(0.8, 1.2))
+BALLS = JacobianBalls(
+    input=JacobianBall.from_slopes(0.5, 1.0), output=JacobianBall.from_slopes(0.8, 1.2)
+)
 PLANT = StateSpace(
     a=np.array([[0.95, 0.1], [-0.1, 0.9]]),
     b=np.array([[0.0], [1.0]]),

@@ -17,7 +17,7 @@ from ssm_study.table.over_seeds import align_columns, setting_heading
 from ssm_study.table.show import (
     certificate_words,
     column_lines,
-    cost_lines,
+    computing_time_lines,
     format_cell,
     gather_rows,
     merge_with_ranges,
@@ -27,8 +27,8 @@ from ssm_study.table.show import (
     short_column_heading,
     short_run_names,
     show_table,
-    stage_costs,
-    summary_lines,
+    stage_computing_times,
+    status_summary_lines,
 )
 
 Row = dict[str, Any]
@@ -179,7 +179,7 @@ def test_the_summary_counts_and_says_what_to_do() -> None:
     rows += [{"status": "failed"}, {"status": "infeasible", "infeasible_reason": "no"}]
     rows.append({"status": "ok", "uncertified_reason": "digits"})
     table = table_of(*rows)
-    lines = summary_lines(table, printed_count=6)
+    lines = status_summary_lines(table, printed_count=6)
     expected = [
         "",
         "6 runs: 1 ok, 1 infeasible, 1 failed, 1 lost, 1 corrupt, 1 running",
@@ -191,25 +191,25 @@ def test_the_summary_counts_and_says_what_to_do() -> None:
     ]
     assert lines == expected
     table = table_of(*rows)
-    shown = summary_lines(table, printed_count=5)
+    shown = status_summary_lines(table, printed_count=5)
     assert shown[1].startswith("6 runs (5 shown): ")
 
 
 def test_five_runs_of_a_reason_are_named_and_twenty_reasons() -> None:
     rows = [{"status": "failed", "error_message": "one"}] * 5
     table = table_of(*rows)
-    lines = summary_lines(table, 5)
+    lines = status_summary_lines(table, 5)
     assert lines[2] == "  failed 0, 1, 2, 3, 4: one"
     table = table_of(*rows, *rows[:1])
-    lines = summary_lines(table, 6)
+    lines = status_summary_lines(table, 6)
     assert lines[2] == "  failed 0, 1, 2, 3, 4 and 1 more: one"
     messages = [chr(ord("a") + k) for k in range(22)]
     rows = [{"status": "failed", "error_message": message} for message in messages]
     table = table_of(*rows[:20])
-    count = len(summary_lines(table, 20))
+    count = len(status_summary_lines(table, 20))
     assert count == 22
     table = table_of(*rows)
-    lines = summary_lines(table, 22)
+    lines = status_summary_lines(table, 22)
     assert len(lines) == 23
     assert lines[-1] == "  ... failed for 2 more reasons"
 
@@ -230,16 +230,16 @@ def fold_row(fold: int, fit: float | None, **more: object) -> Row:
 def test_folds_are_grouped_by_settings_of_the_model_alone() -> None:
     rows = [fold_row(fold, fit, rate_controller=fold) for fold, fit in ((0, 80.0), (1, 90.0))]
     table = table_of(*rows)
-    lines = summary_lines(table, 2)
+    lines = status_summary_lines(table, 2)
     assert lines[2:] == ["  2 folds: mean test fit 85 %, deviation 7.071 %"]
     by_order = [row | {"order": order} for order in (2, 4) for row in rows]
     table = table_of(*by_order)
-    lines = summary_lines(table, 4)
+    lines = status_summary_lines(table, 4)
     tails = [line.rpartition(", ")[2] for line in lines[2:]]
     assert tails == ["order 2", "order 4"]
     missing = [row | {"order": None} for row in rows]
     table = table_of(*by_order[:2], *missing)
-    lines = summary_lines(table, 4)
+    lines = status_summary_lines(table, 4)
     assert len(lines) == 4
 
 
@@ -251,11 +251,11 @@ def test_costs_are_listed_with_the_longest_first() -> None:
         {"stage_model_key": "n", "stage_model_seconds": None},
     ]
     table = table_of(*rows)
-    costs = stage_costs(table)
+    costs = stage_computing_times(table)
     expected = [2, 1, 30.0, 30.0]
     values = costs.loc["model"].tolist()
     assert values == expected
-    head, first, second, together = cost_lines(table)
+    head, first, second, together = computing_time_lines(table)
     expected = ["stage", "runs", "distinct", "reused", "each", "cost", "saved"]
     assert head.split() == expected
     expected = ["model", "2", "1", "1", "30.00", "s", "30", "s", "30", "s"]

@@ -12,7 +12,12 @@ from ssm_study.table.doubts import row_count_doubts
 from ssm_study.table.filters import filter_rows
 from ssm_study.table.gather import gather, rows_differ_from_records, table_from_records
 from ssm_study.table.rank import outcome_class, rank_runs
-from ssm_study.table.show import cost_lines, render_table, stage_costs, summary_lines
+from ssm_study.table.show import (
+    computing_time_lines,
+    render_table,
+    stage_computing_times,
+    status_summary_lines,
+)
 
 
 def render_records(rows: list[dict[str, object]], **layout: int) -> list[str]:
@@ -150,13 +155,13 @@ def test_a_setting_that_follows_from_another_gives_way_to_the_outcomes() -> None
 
 def test_one_reason_is_told_once() -> None:
     table = sweep(20)
-    lines = summary_lines(table, printed_count=20)
+    lines = status_summary_lines(table, printed_count=20)
     assert lines[1] == "20 runs: 10 ok, 10 infeasible"
     keys = [f"{i:010d}" for i in range(10, 15)]
     listed = ", ".join(keys)
     assert lines[2:] == [f"  infeasible {listed} and 5 more: too fast"]
     single = sweep(1)
-    summary = summary_lines(single, printed_count=1)
+    summary = status_summary_lines(single, printed_count=1)
     assert summary[1] == "1 run: 1 ok"
 
 
@@ -178,11 +183,11 @@ def test_folds_are_told_with_their_mean_and_deviation() -> None:
     rows.append(make_fold_row(3, 4, 0, 85.0))
     rows.append(make_fold_row(4, 4, 1, None))
     table = table_from_records(rows)
-    summary = summary_lines(table, 5)
+    summary = status_summary_lines(table, 5)
     assert summary[2] == "  2 folds: mean test fit 85 %, deviation 7.071 %, order 2"
     assert summary[3] == "  1 folds: mean test fit 85 %, deviation - %, order 4"
     of_one_fold = table_from_records(rows[:2])
-    summary = summary_lines(of_one_fold, 2)
+    summary = status_summary_lines(of_one_fold, 2)
     assert len(summary) == 2  # one fold is no spread
 
 
@@ -194,7 +199,7 @@ def test_reasons_that_differ_in_a_number_are_one_line_with_its_range() -> None:
         row["infeasible_reason"] = reason
         rows.append(row)
     table = table_from_records(rows)
-    reasons = summary_lines(table, 3)[2:]
+    reasons = status_summary_lines(table, 3)[2:]
     expected = "  infeasible 9, 4, 7: rate 0.4 to 0.9 of S_u2 is above 0.25; ask 3e-1"
     assert reasons == [expected]
 
@@ -206,7 +211,7 @@ def test_a_failure_of_the_machine_is_run_again_by_the_same_command() -> None:
     mistake: dict[str, object] = {"run": "r-2", "status": "failed"}
     mistake |= {"error_message": "singular", "failure_transient": False}
     table = table_from_records([full_disk, mistake])
-    reasons = summary_lines(table, 2)[2:]
+    reasons = status_summary_lines(table, 2)[2:]
     again = "  failed 1: No space left; the same command runs it again"
     assert sorted(reasons) == [again, "  failed 2: singular"]
 
@@ -219,18 +224,18 @@ def test_costs_count_each_stage_once() -> None:
         row |= {"stage_loop_key": f"l{i}", "stage_loop_seconds": 1.0}
         rows.append(row)
     table = table_from_records(rows)
-    costs = stage_costs(table)
+    costs = stage_computing_times(table)
     counted = costs[["distinct", "spent_s", "saved_s"]]
     of_the_model = counted.loc["model"].tolist()
     assert of_the_model == [1, 10.0, 190.0]
     of_the_loop = counted.loc["loop"].tolist()
     assert of_the_loop == [20, 20.0, 0.0]
     assert costs.index[0] == "loop"
-    together = cost_lines(table)[-1]
+    together = computing_time_lines(table)[-1]
     expected = ["together", "30", "s", "3", "min"]
     assert together.split() == expected
     empty = table_from_records([])
-    assert cost_lines(empty)
+    assert computing_time_lines(empty)
 
 
 SWEEP_TEXT = 'hydra:\n  overrides:\n    task: ["model.order=4,6", "seed=0,1"]\n'
@@ -271,7 +276,7 @@ def test_outcomes_have_seven_classes_from_settled_to_failed() -> None:
 
 def test_a_table_without_reasons_names_no_run_as_not_certified() -> None:
     table = sweep(4).drop(columns="uncertified_reason")
-    text = " ".join(summary_lines(table, 4))
+    text = " ".join(status_summary_lines(table, 4))
     assert "not certified" not in text
 
 

@@ -16,7 +16,7 @@ from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.deployed import add_gain_certificates
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import Balls, JacobianBall, StateSpace
+from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace
 
 
 @pytest.fixture(scope="module")
@@ -209,7 +209,7 @@ def test_a_file_claims_no_tolerance_of_a_nonlinear_output_map(
 ) -> None:
     content, motor = stored
     output = JacobianBall(alpha=OUTPUT_BALL.alpha, beta=0.01)
-    wider = Balls(input=INPUT_BALL, output=output)
+    wider = JacobianBalls(input=INPUT_BALL, output=output)
     claims = failed_checks(content, motor, wider)
     is_found = any("tolerance.beta_out" in claim for claim in claims)
     assert is_found

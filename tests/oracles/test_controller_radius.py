@@ -6,7 +6,7 @@ import numpy as np
 from loop_cases import random_model
 
 from ssm_study.robustness.sensitivity import controller_spectral_radius
-from ssm_study.systems import Balls, Gains, JacobianBall, StateSpace
+from ssm_study.systems import Gains, JacobianBall, JacobianBalls, StateSpace
 
 
 def several_channels():
@@ -23,7 +23,7 @@ def several_channels():
     ls = 0.1 * white_noise
     jacobian_ball = JacobianBall.from_slopes(0.4, 1.0)
     output = JacobianBall.from_slopes(0.8, 1.1)
-    balls = Balls(input=jacobian_ball, output=output)
+    balls = JacobianBalls(input=jacobian_ball, output=output)
     return linear, Gains(k=ks, l=ls), balls
 
 
@@ -48,8 +48,8 @@ def test_the_controller_alone_is_the_equation_written_out():
     actual = controller_spectral_radius(linear, wider, balls)
     np.testing.assert_allclose(actual, expected)
     known = JacobianBall(alpha=0.7, beta=0.0)
-    narrow = Balls(input=known, output=known)
-    wide = Balls(input=balls.input, output=known)
+    narrow = JacobianBalls(input=known, output=known)
+    wide = JacobianBalls(input=balls.input, output=known)
     of_narrow = controller_spectral_radius(linear, pairs, narrow)
     of_wide = controller_spectral_radius(linear, pairs, wide)
     assert (of_narrow <= of_wide).all()

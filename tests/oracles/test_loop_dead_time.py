@@ -18,7 +18,7 @@ from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet, Scale, Trajectory
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import Balls, JacobianBall, StateSpace
+from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace
 
 LATE = 8
 
@@ -78,7 +78,7 @@ def test_the_loop_reckons_with_the_dead_time_and_without_it_does_not_settle() ->
     plant = DelayedInput(plant=identified_plant, samples=LATE)
     jacobian_ball = JacobianBall.from_slopes(0.8, 1.0)
     output = JacobianBall(alpha=1.0, beta=0.0)
-    balls = Balls(input=jacobian_ball, output=output)
+    balls = JacobianBalls(input=jacobian_ball, output=output)
     rates = {"rate_controller": 0.08, "rate_observer": 0.1}
     synthesis = RiccatiSynthesis(input_weight=0.1, **rates)
     loop = Loop(horizon_s=20.0, measurement_noise_variance=0.0)

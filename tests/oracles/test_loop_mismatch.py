@@ -19,7 +19,7 @@ from ssm_study.robustness.sensitivity import (
     gain_peaks_on_grid,
 )
 from ssm_study.signals import Trajectory
-from ssm_study.systems import Balls, Gains, JacobianBall, StateSpace
+from ssm_study.systems import Gains, JacobianBall, JacobianBalls, StateSpace
 
 # A mode of radius 0.999 is 0.001 wide: half a step of 0.0004 beside its peak, the gain is 2 %
 # lower.
@@ -147,7 +147,7 @@ def test_the_factors_agree_with_the_state_space_for_several_channels():
     gain = 0.05 * white_noise
     jacobian_ball = JacobianBall.from_slopes(0.4, 1.0)
     output = JacobianBall.from_slopes(0.8, 1.1)
-    balls = Balls(input=jacobian_ball, output=output)
+    balls = JacobianBalls(input=jacobian_ball, output=output)
     angles = np.linspace(0.01, np.pi, 50)
     pair = Gains(k=k, l=gain)
     gains = []

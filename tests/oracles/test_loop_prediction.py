@@ -34,7 +34,7 @@ from ssm_study.robustness.sensitivity import (
 )
 from ssm_study.signals import Scale, Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import Balls, Gains, JacobianBall, StateSpace
+from ssm_study.systems import Gains, JacobianBall, JacobianBalls, StateSpace
 
 STEEP = JacobianBall(alpha=1.0, beta=0.0)
 FLAT = JacobianBall(alpha=0.1, beta=0.0)
@@ -42,7 +42,7 @@ STEEP_AND_FLAT = (STEEP, FLAT)
 
 
 UNIT_SLOPE = JacobianBall(alpha=1.0, beta=0.0)
-ONES = Balls(input=UNIT_SLOPE, output=UNIT_SLOPE)
+ONES = JacobianBalls(input=UNIT_SLOPE, output=UNIT_SLOPE)
 
 
 def linear_model(seed: int, order: int = 3) -> SSM:

@@ -16,10 +16,10 @@ from ssm_study.plants.stribeck_drive import StribeckDrive
 from ssm_study.robustness.sensitivity import controller_spectral_radius
 from ssm_study.signals import Scale
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import Balls, JacobianBall, StateSpace
+from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace
 
 UNIT_SLOPE = JacobianBall(alpha=1.0, beta=0.0)
-ONES = Balls(input=UNIT_SLOPE, output=UNIT_SLOPE)
+ONES = JacobianBalls(input=UNIT_SLOPE, output=UNIT_SLOPE)
 
 
 def drive() -> StribeckDrive:

@@ -28,7 +28,7 @@ from ssm_study.synthesis.deployed import (
     prove_within_input_limits,
 )
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import Balls, JacobianBall, StateSpace
+from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace
 
 LIMIT = np.array([0.6])
 SLOPES = (0.8, 1.0, 0.7, 0.9)
@@ -51,7 +51,7 @@ def pair() -> tuple[SSM, Design]:
     model = replace(plain, scaffold_in=lifted)
     balls_input = JacobianBall.from_slopes(min(SLOPES), max(SLOPES))
     output = JacobianBall(alpha=1.0, beta=0.0)
-    balls = Balls(input=balls_input, output=output)
+    balls = JacobianBalls(input=balls_input, output=output)
     synthesis = RiccatiSynthesis(rate_controller=0.2, rate_observer=0.4, input_weight=0.5)
     return model, synthesis.design(model, balls)
 
@@ -256,7 +256,7 @@ def test_where_the_input_moves_the_output_at_once_there_is_no_range() -> None:
     model = SSM.from_linear(lag, 0.1, rest)
     ball = JacobianBall(alpha=1.0, beta=0.0)
     synthesis = RiccatiSynthesis(rate_controller=0.8, rate_observer=0.4, input_weight=1e-3)
-    balls = Balls(input=ball, output=ball)
+    balls = JacobianBalls(input=ball, output=ball)
     design = synthesis.design(model, balls)
     certificates = set(certify_under_input_limits(model, design, -LIMIT, LIMIT))
     assert certificates <= {"state_feedback_limited"}

@@ -24,7 +24,7 @@ from ssm_study.synthesis.deployed import (
 )
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.metrics import input_limit_columns
-from ssm_study.systems import Balls, JacobianBall, StateSpace
+from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace
 
 LOWER_LIMITS = np.full(2, -0.6)
 UPPER_LIMITS = np.full(2, 0.6)
@@ -64,7 +64,7 @@ def test_one_range_of_two_outputs_is_what_both_have(apart: float, shared: bool) 
     model = SSM.from_linear(lags, 0.1, rest)
     ball = JacobianBall(alpha=1.0, beta=0.0)
     synthesis = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.4, input_weight=0.5)
-    balls = Balls(input=ball, output=ball)
+    balls = JacobianBalls(input=ball, output=ball)
     design = synthesis.design(model, balls)
     each = prove_within_input_limits(model, design, *ENDS)
     extra_certificates = certify_under_input_limits(model, design, *ENDS)
@@ -94,7 +94,7 @@ def coupled_pair(gain: np.ndarray) -> tuple[SSM, Design]:
     model = replace(ssm, scaffold_out=scaffold_out)
     balls_input = JacobianBall(alpha=1.0, beta=0.0)
     output = jacobian_ball(model.scaffold_out).ball
-    balls = Balls(input=balls_input, output=output)
+    balls = JacobianBalls(input=balls_input, output=output)
     synthesis = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.1, input_weight=0.5)
     design = synthesis.design(model, balls)
     return model, design

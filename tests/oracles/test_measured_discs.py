@@ -22,12 +22,12 @@ from ssm_study.synthesis.measured_discs_search import (
     certify_largest_radius,
     optimum_for_weights,
 )
-from ssm_study.systems import Balls, JacobianBall, StateSpace, StructuredSystem
+from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace, StructuredSystem
 
 ZERO = np.zeros((1, 1))
 INPUT_BALL = JacobianBall.from_slopes(0.6, 1.0)
 OUTPUT_BALL = JacobianBall(alpha=0.8, beta=0.0)
-BALLS = Balls(input=INPUT_BALL, output=OUTPUT_BALL)
+BALLS = JacobianBalls(input=INPUT_BALL, output=OUTPUT_BALL)
 BENT_OUTPUT = JacobianBall(alpha=0.9, beta=0.1)
 BENT = replace(BALLS, output=BENT_OUTPUT)
 ASKED = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1, input_weight=1.0)
@@ -54,7 +54,9 @@ def one_layer(seed: int, order: int = 3) -> StateSpace:
     return StateSpace(a=scaled, b=b, c=c, d=ZERO)
 
 
-def context(system: StateSpace | StructuredSystem, balls: Balls = BALLS) -> VerificationContext:
+def context(
+    system: StateSpace | StructuredSystem, balls: JacobianBalls = BALLS
+) -> VerificationContext:
     design = ASKED.design(_Model(system), balls)
     assert design.certified
     return VerificationContext(system=system, controlled=system, balls=balls, gains=design.gains)
@@ -106,7 +108,7 @@ def test_an_input_disc_around_zero_has_a_closed_form_to_seven_digits(seed: int) 
 
 @pytest.mark.parametrize("balls", [BALLS, BENT])
 @pytest.mark.parametrize("centre", [0.0, -0.25])
-def test_a_solver_agrees_where_the_largest_kappa_lies(balls: Balls, centre: float) -> None:
+def test_a_solver_agrees_where_the_largest_kappa_lies(balls: JacobianBalls, centre: float) -> None:
     """CVXPY looks for P and multipliers at once; the route of the search knows no P."""
     system = one_layer(2, order=2)
     known = context(system, balls)

@@ -14,7 +14,7 @@ from ssm_study.models.scaffolds.residual import Residual, ResidualScaffold
 from ssm_study.models.scaffolds.trainable import MapContext
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import Balls, JacobianBall, StateSpace
+from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace
 
 
 def lipschitz_matrix(scaffold: ResidualScaffold) -> np.ndarray:
@@ -146,7 +146,7 @@ def test_a_certificate_with_the_small_ball_of_an_honest_map_is_refused() -> None
     system = StateSpace(a=a, b=b, c=c, d=d)
     exact = JacobianBall(alpha=1.0, beta=0.0)
     small_ball = JacobianBall(alpha=liar.alpha, beta=liar.beta)
-    small = Balls(input=small_ball, output=exact)
+    small = JacobianBalls(input=small_ball, output=exact)
     rates = {"rate_controller": 0.85, "rate_observer": 0.5}
     synthesis = RiccatiSynthesis(input_weight=1e-3, **rates)
     model = SimpleNamespace(linear=system)
@@ -165,7 +165,7 @@ def test_a_certificate_with_the_small_ball_of_an_honest_map_is_refused() -> None
         radii.append(np.abs(eigenvalues).max())
     assert max(radii) > 1
     ball = jacobian_ball(liar).ball
-    derived = Balls(input=ball, output=exact)
+    derived = JacobianBalls(input=ball, output=exact)
     claims = failed_checks(content, system, derived)
     assert any("state_feedback.alpha, beta" in claim for claim in claims)
 

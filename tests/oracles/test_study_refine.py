@@ -15,7 +15,7 @@ from benchmarks.adversarial.plants.peaking_gain import PeakingGain
 from ssm_study.cli.from_python import compose_configuration
 from ssm_study.cli.main import main
 from ssm_study.engine.records import read_record
-from ssm_study.engine.runs import seal_run
+from ssm_study.engine.runs import write_run_manifest
 from ssm_study.refusal import BadRequest
 from ssm_study.study import allow_list
 from ssm_study.study.line import STUDY
@@ -126,7 +126,7 @@ def test_a_refined_run_is_verified_from_its_files(second, tmp_path):
     tried[0]["state_feedback"]["k"][0][0] *= 0.9
     text = json.dumps(tried)
     (run / TRIED).write_text(text)
-    seal_run(run)
+    write_run_manifest(run)
     assert failing(run) == {"trials.mcap records"}
 
 

@@ -24,12 +24,12 @@ from ssm_study.synthesis.deployed import add_gain_certificates, certificate_at_l
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_search import INPUT_ALONE, certify_largest_radius
-from ssm_study.systems import Balls, Gains, JacobianBall, StateSpace
+from ssm_study.systems import Gains, JacobianBall, JacobianBalls, StateSpace
 
 SEEDS = st.integers(0, 10**6)
 
 
-def loop(seed: int, inputs: int = 1, order: int = 3) -> tuple[StateSpace, Balls, Design]:
+def loop(seed: int, inputs: int = 1, order: int = 3) -> tuple[StateSpace, JacobianBalls, Design]:
     """A random stable model with a certified pair of gains."""
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(order, order))
@@ -42,7 +42,7 @@ def loop(seed: int, inputs: int = 1, order: int = 3) -> tuple[StateSpace, Balls,
     linear = StateSpace(a=scaled, b=b, c=c, d=d)
     jacobian_ball = JacobianBall.from_slopes(0.4, 1.0)
     output = JacobianBall(alpha=0.8, beta=0.0)
-    balls = Balls(input=jacobian_ball, output=output)
+    balls = JacobianBalls(input=jacobian_ball, output=output)
     synthesis = RiccatiSynthesis(rate_controller=0.15, rate_observer=0.15, input_weight=0.3)
     design = synthesis.design(_Model(linear), balls)
     return linear, balls, design
@@ -53,7 +53,7 @@ class _Model:
         self.linear = linear
 
 
-def known(linear: StateSpace, balls: Balls, design: Design) -> VerificationContext:
+def known(linear: StateSpace, balls: JacobianBalls, design: Design) -> VerificationContext:
     return VerificationContext(system=linear, controlled=linear, balls=balls, gains=design.gains)
 
 
@@ -170,7 +170,7 @@ def test_without_a_ball_the_tolerance_is_small_gain(seed: int) -> None:
     linear, balls, design = loop(seed)
     alpha = balls.input.alpha
     jacobian_ball = JacobianBall(alpha=alpha, beta=0.0)
-    sharp = Balls(input=jacobian_ball, output=balls.output)
+    sharp = JacobianBalls(input=jacobian_ball, output=balls.output)
     context = known(linear, sharp, design)
     certificate = certify_largest_radius(context)
     slope_in = balls.input.alpha
@@ -313,7 +313,7 @@ def test_far_above_the_tolerance_such_a_mismatch_diverges_and_is_not_proved() ->
 
 
 def loop_with_noise(
-    linear: StateSpace, pair: Gains, balls: Balls
+    linear: StateSpace, pair: Gains, balls: JacobianBalls
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Closed loop in `(x, x_hat)`: its matrix, where noise enters, and its output."""
     b = linear.b

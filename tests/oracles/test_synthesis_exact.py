@@ -17,7 +17,7 @@ from ssm_study.exact import Exact
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.lmi import LmiSynthesis
 from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
-from ssm_study.systems import Balls, JacobianBall, StateSpace
+from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace
 
 
 class Model:
@@ -32,7 +32,7 @@ class Model:
 
 INPUT_BALL = JacobianBall.from_slopes(0.3, 1.0)
 OUTPUT_BALL = JacobianBall.from_slopes(0.8, 1.2)
-BALLS = Balls(input=INPUT_BALL, output=OUTPUT_BALL)
+BALLS = JacobianBalls(input=INPUT_BALL, output=OUTPUT_BALL)
 
 
 def plain_ldl_is_positive(matrix: list[list[Fraction]]) -> bool:

@@ -39,7 +39,7 @@ from ssm_study.synthesis.structured_riccati import (
     log_multipliers,
     minimise_guaranteed_cost,
 )
-from ssm_study.systems import Balls, JacobianBall, StructuredSystem
+from ssm_study.systems import JacobianBall, JacobianBalls, StructuredSystem
 
 WIDE = JacobianBall.from_slopes(0.6, 1.0)
 SIDES = {"state_feedback": StructuredStateFeedback, "observer": StructuredObserver}
@@ -223,7 +223,7 @@ def test_injection_where_the_output_sees_the_neurons_is_refused() -> None:
     assert not StructuredObserver.holds(**{**numbers, "l_z": l_z})
     information = {"rate_limit": 1.0, "method": "", "status": ""}
     certificate = StructuredObserver.from_numbers(numbers, **information)
-    balls = Balls(input=KNOWN, output=KNOWN)
+    balls = JacobianBalls(input=KNOWN, output=KNOWN)
     context = VerificationContext(system=system, controlled=system, balls=balls, gains={})
     assert certificate.failed_checks(context) == []
     (sentence,) = replace(certificate, l_z=l_z).failed_checks(context)

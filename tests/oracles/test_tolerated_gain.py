@@ -25,9 +25,11 @@ from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_run import INJECTED, exclusion_reason
 from ssm_study.synthesis.measured_discs_search import INPUT_ALONE, certify_largest_radius
 from ssm_study.synthesis.structured_lmi import largest_rate_with_neurons
-from ssm_study.systems import Balls, Gains, JacobianBall, StructuredSystem
+from ssm_study.systems import Gains, JacobianBall, JacobianBalls, StructuredSystem
 
-BALLS = Balls(input=JacobianBall.from_slopes(0.6, 1.0), output=JacobianBall(alpha=0.8, beta=0.0))
+BALLS = JacobianBalls(
+    input=JacobianBall.from_slopes(0.6, 1.0), output=JacobianBall(alpha=0.8, beta=0.0)
+)
 ASKED = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1, input_weight=1.0)
 
 
@@ -153,7 +155,7 @@ def test_no_simulated_mismatch_below_it_keeps_the_loop_from_rest() -> None:
     stand = model()
     system = stand.system
     output = JacobianBall(alpha=1.0, beta=0.0)
-    balls = Balls(input=BALLS.input, output=output)
+    balls = JacobianBalls(input=BALLS.input, output=output)
     gains = ASKED.design(stand, balls).gains
     context = VerificationContext(system=system, controlled=system, balls=balls, gains=gains)
     proved = certify_largest_radius(context)
@@ -254,7 +256,7 @@ def test_a_forged_number_is_found(
 def test_a_nonlinear_output_map_costs_some_of_it() -> None:
     known, straight = found(drawn(0, n=2, q=1, radius=0.9))
     output = JacobianBall.from_slopes(0.7, 0.9)
-    bent = Balls(input=BALLS.input, output=output)
+    bent = JacobianBalls(input=BALLS.input, output=output)
     context = replace(known, balls=bent)
     proved = certify_largest_radius(context)
     assert proved is not None
@@ -281,6 +283,6 @@ def test_a_loop_that_some_slope_loses_by_itself_gets_none() -> None:
     }
     system = StructuredSystem(**matrices)
     gains = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}
-    balls = Balls(input=unit, output=unit)
+    balls = JacobianBalls(input=unit, output=unit)
     known = VerificationContext(system=system, controlled=system, balls=balls, gains=gains)
     assert certify_largest_radius(known) is None

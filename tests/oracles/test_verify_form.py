@@ -12,7 +12,7 @@ from ssm_study.cli.main import main
 from ssm_study.columns import Column
 from ssm_study.data.mcap import read_mcap, write_mcap
 from ssm_study.engine.records import read_record, write_record
-from ssm_study.engine.runs import seal_run
+from ssm_study.engine.runs import write_run_manifest
 from ssm_study.study.form import has_declared_type
 from ssm_study.study.verify import verify
 
@@ -44,7 +44,7 @@ def told(lie: Lie, run: Path, folder: Path) -> set[str]:
     shutil.copytree(run, copy)
     record = dict(read_record(copy) or {})
     lie(copy, record)
-    seal_run(copy)
+    write_run_manifest(copy)
     write_record(copy, record)
     return wrong_claims(copy)
 

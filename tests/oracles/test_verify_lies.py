@@ -42,7 +42,12 @@ from verify_lies import (
 from ssm_study.cli.main import main
 from ssm_study.data.mcap import read_mcap
 from ssm_study.data.recorded import RecordedData
-from ssm_study.durable import add_digest, read_sealed_json, sha256_of_file, write_json_atomically
+from ssm_study.durable import (
+    add_digest,
+    read_json_with_digest,
+    sha256_of_file,
+    write_json_atomically,
+)
 from ssm_study.engine.records import read_record
 from ssm_study.plants.wrapper import Wrapper
 from ssm_study.refusal import BadRequest
@@ -152,7 +157,7 @@ def test_the_command_gathers_anew_whatever_table_lies_there(
     true = gather(study)
     true.assign(fit_test_percent=99.9).to_parquet(study / "runs.parquet", index=False)
     content = (study / MARKS).read_bytes()
-    index = read_sealed_json(content) or {}
+    index = read_json_with_digest(content) or {}
     sums = {"runs.parquet": sha256_of_file(study / "runs.parquet")}
     body = {k: v for k, v in index.items() if k != "sha256"} | sums
     write_json_atomically(study / MARKS, add_digest(body))

@@ -18,7 +18,7 @@ from ssm_study.data.mcap import METADATA_NAME, read_mcap
 from ssm_study.data.mcap_contents import list_unread_contents
 from ssm_study.durable import add_digest, write_json_atomically
 from ssm_study.engine.records import read_record, write_record
-from ssm_study.engine.runs import seal_run
+from ssm_study.engine.runs import write_run_manifest
 from ssm_study.engine.settings import plain_settings, run_name
 from ssm_study.report.outcome import coverage_rows, prediction_rows
 from ssm_study.study.claims import split_confirmable_settings
@@ -87,7 +87,7 @@ def renamed_copy(run: Path, old: str, new: str) -> Path:
     path = copy / ".hydra" / "config.yaml"
     text = path.read_text()
     path.write_text(text.replace(run.name, name))
-    seal_run(copy)
+    write_run_manifest(copy)
     write_record(copy, (read_record(copy) or {}) | {"run": name})
     return copy
 

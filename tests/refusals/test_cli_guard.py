@@ -17,7 +17,7 @@ from ssm_study.certificates.certificate import certificate_digest
 from ssm_study.cli.main import main
 from ssm_study.cli.parser import ACTIONS
 from ssm_study.engine.records import read_record, write_record
-from ssm_study.engine.runs import seal_run
+from ssm_study.engine.runs import write_run_manifest
 from ssm_study.refusal import BadRequest
 from ssm_study.study.verify import verify
 from ssm_study.table.gather import gather
@@ -195,7 +195,7 @@ def test_a_certificate_that_lies_is_not_exported(
     part["digest"] = certificate_digest(part)
     text = json.dumps(content)
     (run / "certificate.json").write_text(text)
-    seal_run(run)
+    write_run_manifest(run)
     record = read_record(run) or {}
     write_record(run, record)
     out_path = str(study / "out")

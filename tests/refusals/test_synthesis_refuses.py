@@ -20,12 +20,12 @@ from ssm_study.synthesis.design import DesignAttempt
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.lmi import LmiSynthesis
 from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
-from ssm_study.systems import Balls, JacobianBall, StateSpace
+from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace
 
 RATES = {"rate_controller": 0.3, "rate_observer": 0.3}
 INPUT_BALL = JacobianBall.from_slopes(0.3, 1.0)
 OUTPUT_BALL = JacobianBall.from_slopes(0.8, 1.2)
-BALLS = Balls(input=INPUT_BALL, output=OUTPUT_BALL)
+BALLS = JacobianBalls(input=INPUT_BALL, output=OUTPUT_BALL)
 
 
 def system(a: list[list[float]], b: list[float], c: list[float]) -> StateSpace:

@@ -12,7 +12,7 @@ from ssm_study.certificates.certificate import Design, certificate_digest
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.systems import Balls, JacobianBall
+from ssm_study.systems import JacobianBall, JacobianBalls
 
 
 class Model:
@@ -117,7 +117,7 @@ def test_a_forged_digest_does_not_hide_an_altered_gain(stored: dict, side: str, 
 
 def test_a_ball_smaller_than_the_models_is_found(stored: dict) -> None:
     wider_ball = JacobianBall.from_slopes(0.29, 1.0)
-    wider = Balls(input=wider_ball, output=OUTPUT_BALL)
+    wider = JacobianBalls(input=wider_ball, output=OUTPUT_BALL)
     claims = failed_checks(stored, PLANT, wider)
     is_found = any("alpha, beta" in claim for claim in claims)
     assert is_found

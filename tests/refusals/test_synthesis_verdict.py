@@ -24,11 +24,11 @@ from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.design import DesignAttempt, failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, guaranteed_cost
-from ssm_study.systems import Balls, JacobianBall, StateSpace
+from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace
 
 INPUT_BALL = JacobianBall.from_slopes(0.3, 1.0)
 OUTPUT_BALL = JacobianBall.from_slopes(0.8, 1.2)
-BALLS = Balls(input=INPUT_BALL, output=OUTPUT_BALL)
+BALLS = JacobianBalls(input=INPUT_BALL, output=OUTPUT_BALL)
 A = np.array([[0.95, 0.1], [-0.1, 0.9]])
 B = np.array([[0.0], [1.0]])
 C = np.array([[1.0, 0.5]])

@@ -40,7 +40,7 @@ def bode_picture(
     angle = np.unwrap(wrapped_angle)
     magnitude = np.abs(response)
     gains = [Series(x=hertz, y=magnitude, name="model at rest")]
-    ratio = record_gain_ratio(model, record)
+    ratio = input_map_gain_ratio(model, record)
     if ratio is not None:
         at_record = {"name": "model at the record's mean gain", "dashes": DASHED}
         gain_at_record = Series(x=hertz, y=ratio * magnitude, **at_record)  # type: ignore[arg-type]
@@ -87,7 +87,7 @@ def _estimated_dots(
     return gain, phase
 
 
-def record_gain_ratio(model: Model, record: Trajectory) -> float | None:
+def input_map_gain_ratio(model: Model, record: Trajectory) -> float | None:
     """Gain of the input map in a record, divided by the slope of the map at rest. None if this
     ratio is near one, or for several inputs.
 

@@ -116,7 +116,7 @@ def _step_picture(
     time_range = _drawn_time_range(run, time_s)
     samples_before = BEFORE * len(run.time_s)
     at_s = samples_before * run.step_s
-    ahead = _first_motion_s(run) < at_s - run.step_s
+    ahead = _first_input_change_s(run) < at_s - run.step_s
     set_point_name = "set point, known in advance" if ahead else "set point"
     output_count = len(plant.outputs)
     input_count = len(plant.inputs)
@@ -182,12 +182,12 @@ def _drawn_time_range(run: Rollouts, settling_time_s: float | None) -> tuple[flo
     shortest_s = FEWEST_SEEN * run.step_s
     span_s = max(SEEN_SETTLING_TIMES * settling_time_s, shortest_s)
     early_s = at_s - span_s / 4
-    first_motion_s = _first_motion_s(run)
+    first_motion_s = _first_input_change_s(run)
     start_s = min(early_s, first_motion_s - run.step_s)
     return max(0.0, start_s), min(end_s, at_s + span_s)
 
 
-def _first_motion_s(run: Rollouts) -> float:
+def _first_input_change_s(run: Rollouts) -> float:
     """Time in seconds at which the input first moves in a step response. It is before the step
     where a trajectory is planned, since the step is then known in advance
     (`loop.trajectory.reference_tracking_trajectory`)."""

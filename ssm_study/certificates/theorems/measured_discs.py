@@ -54,10 +54,10 @@ Example. `x+ = 0.5 x + u`, `K = -0.25`, `L = -0.5`, `|e| <= kappa |u|`: small ga
 >>> import numpy as np
 >>> from ssm_study.synthesis.measured_discs_search import certify_largest_radius
 >>> from ssm_study.certificates.theorem import VerificationContext
->>> from ssm_study.systems import Balls, JacobianBall, StateSpace
+>>> from ssm_study.systems import JacobianBalls, JacobianBall, StateSpace
 >>> one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
 >>> loop = StateSpace(a=0.5 * one, b=one, c=one, d=0 * one)
->>> gains, balls = {"k": -0.25 * one, "l": -0.5 * one}, Balls(input=unit, output=unit)
+>>> gains, balls = {"k": -0.25 * one, "l": -0.5 * one}, JacobianBalls(input=unit, output=unit)
 >>> context = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
 >>> proof = certify_largest_radius(context)
 >>> print(f"{proof.tolerated_gain:.3f} = 0.999 / 0.15, certified: {proof.certified}")

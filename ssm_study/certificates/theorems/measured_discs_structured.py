@@ -31,12 +31,12 @@ small gain allows `8 * 0.7 * 0.95 / 1.2`.
 >>> import numpy as np
 >>> from ssm_study.synthesis.measured_discs_search import certify_largest_radius
 >>> from ssm_study.certificates.theorem import VerificationContext
->>> from ssm_study.systems import Balls, JacobianBall, StructuredSystem
+>>> from ssm_study.systems import JacobianBalls, JacobianBall, StructuredSystem
 >>> one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
 >>> matrices = dict(a=0.2 * one, b=one, c=one, d=0 * one, e=0.3 * one, f=one, g=0 * one, h=0 * one)
 >>> loop = StructuredSystem(**matrices)
 >>> gains = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}
->>> balls = Balls(input=unit, output=unit)
+>>> balls = JacobianBalls(input=unit, output=unit)
 >>> context = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
 >>> proof = certify_largest_radius(context)
 >>> print(f"{proof.tolerated_gain:.2f} <= {8 * 0.7 * 0.95 / 1.2:.2f}: {proof.certified}")

@@ -16,7 +16,7 @@ from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import Mismatch, measure_model_error
 from ssm_study.robustness.prediction import predict_margins
 from ssm_study.signals import DataSet, Trajectory
-from ssm_study.systems import Balls
+from ssm_study.systems import JacobianBalls
 
 if TYPE_CHECKING:
     from ssm_study.synthesis.auto import Auto
@@ -33,13 +33,13 @@ class Identified:
     records."""
 
     model: Model
-    balls: Balls
+    balls: JacobianBalls
     validation: tuple[Trajectory, ...]
     mismatch_records: tuple[Trajectory, ...] = ()
     start_up_samples: int = 0
 
     @classmethod
-    def from_data_set(cls, model: Model, balls: Balls, data: DataSet) -> "Identified":
+    def from_data_set(cls, model: Model, balls: JacobianBalls, data: DataSet) -> "Identified":
         """Data that the compared control methods may use, from an identified model and its data
         set."""
         return cls(

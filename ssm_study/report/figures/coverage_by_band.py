@@ -6,11 +6,11 @@ covered too: one of them can decide, and it is not drawn."""
 from matplotlib.figure import Figure
 
 from ssm_study.api.pictures.drawing import draw_unstyled
-from ssm_study.report.run_pictures import picture_of_best
+from ssm_study.report.run_pictures import picture_of_best_run
 from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
     """Draw the ratio of tolerated to measured model error in each frequency band for the best
     run."""
-    return draw_unstyled(picture_of_best("coverage_by_band", study))
+    return draw_unstyled(picture_of_best_run("coverage_by_band", study))

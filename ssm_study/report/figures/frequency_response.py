@@ -7,11 +7,11 @@ is the first input to the first output, in physical units."""
 from matplotlib.figure import Figure
 
 from ssm_study.api.pictures.drawing import draw_unstyled
-from ssm_study.report.run_pictures import picture_of_best
+from ssm_study.report.run_pictures import picture_of_best_run
 from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
     """Draw the frequency response of the best run's model at its equilibrium, beside an estimate
     from the validation record."""
-    return draw_unstyled(picture_of_best("frequency_response", study))
+    return draw_unstyled(picture_of_best_run("frequency_response", study))

@@ -45,7 +45,7 @@ def draw(study: StudyFolder) -> Figure:
         reach = REACH_IN_DEAD_ZONES * threshold
         gain = _scale_to_dead_zone(model, threshold)
     voltage = _voltage_range(model, reach)
-    learned = gain * _mapped_voltage(model, voltage)
+    learned = gain * _input_map_values(model, voltage)
     value.plot(voltage, learned, color=style.BLUE, label="learned S$_u$", zorder=3)
     _draw_slopes(slope, model, voltage, record)
     if threshold is not None:
@@ -93,7 +93,7 @@ def _voltage_range(model: SSM, half_width: float) -> Range:
     return model.scale.input_equilibrium[0] + deviations
 
 
-def _mapped_voltage(model: SSM, voltage: Range) -> Range:
+def _input_map_values(model: SSM, voltage: Range) -> Range:
     """Output values of the learned input map at given physical voltages."""
     mapped = model.map_input(voltage[:, None])
     return mapped[:, 0]
@@ -102,7 +102,7 @@ def _mapped_voltage(model: SSM, voltage: Range) -> Range:
 def _dead_zone_sentence(model: SSM, voltage: Range, threshold: float) -> str:
     """Sentence on how much of the motor's true dead zone the learned input map reproduces. Zero
     would be all of it."""
-    rise = np.diff(_mapped_voltage(model, voltage)) / np.diff(voltage)  # per volt
+    rise = np.diff(_input_map_values(model, voltage)) / np.diff(voltage)  # per volt
     middles = (voltage[1:] + voltage[:-1]) / 2
     is_inside = np.abs(middles) < threshold
     share = float(rise[is_inside].mean() / rise[~is_inside].mean())
@@ -121,7 +121,7 @@ def _scale_to_dead_zone(model: SSM, threshold: float) -> float:
     up to a factor, which B compensates."""
     scale = float(model.scale.input_scale[0])
     voltage = _voltage_range(model, REACH_IN_SCALES * scale)
-    learned = _mapped_voltage(model, voltage)
+    learned = _input_map_values(model, voltage)
     true = _dead_zone(voltage, threshold)
     return float(true @ learned / (learned @ learned))
 

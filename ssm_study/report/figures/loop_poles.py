@@ -5,11 +5,11 @@ under control, for every certified slope."""
 from matplotlib.figure import Figure
 
 from ssm_study.api.pictures.drawing import draw_unstyled
-from ssm_study.report.run_pictures import picture_of_best
+from ssm_study.report.run_pictures import picture_of_best_run
 from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
     """Draw the poles of the best run's model, of the model under control, and of the observer's
     error."""
-    return draw_unstyled(picture_of_best("loop_poles", study))
+    return draw_unstyled(picture_of_best_run("loop_poles", study))

@@ -7,11 +7,11 @@ power."""
 from matplotlib.figure import Figure
 
 from ssm_study.api.pictures.drawing import draw_unstyled
-from ssm_study.report.run_pictures import picture_of_best
+from ssm_study.report.run_pictures import picture_of_best_run
 from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
     """Draw the stability margin over frequency for the best run, with one line for each recorded
     amplitude."""
-    return draw_unstyled(picture_of_best("margin_by_frequency", study))
+    return draw_unstyled(picture_of_best_run("margin_by_frequency", study))

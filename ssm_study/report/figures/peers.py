@@ -82,7 +82,7 @@ def create_peer_panels(table: pd.DataFrame, units: Units = NO_UNITS) -> list[Pee
     logarithmic = {"xscale": "log"} if ratio.notna().any() else {}
     label = "Settling time / uncontrolled (–)"
     relative_time = PeerPanel(values=ratio, label=label, scale=logarithmic)
-    peak = replace(peak, label=units.physical_words(peak.label))
+    peak = replace(peak, label=units.replace_words_by_units(peak.label))
     return [share, relative_time, peak]
 
 

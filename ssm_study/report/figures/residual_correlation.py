@@ -5,10 +5,10 @@ that the model could explain. A free run of a nonlinear plant rarely stays insid
 from matplotlib.figure import Figure
 
 from ssm_study.api.pictures.drawing import draw_unstyled
-from ssm_study.report.run_pictures import picture_of_best
+from ssm_study.report.run_pictures import picture_of_best_run
 from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
     """Draw the correlations of the best run's simulation error with itself and with the inputs."""
-    return draw_unstyled(picture_of_best("residual_correlation", study))
+    return draw_unstyled(picture_of_best_run("residual_correlation", study))

@@ -7,11 +7,11 @@ answers later."""
 from matplotlib.figure import Figure
 
 from ssm_study.api.pictures.drawing import draw_unstyled
-from ssm_study.report.run_pictures import picture_of_best
+from ssm_study.report.run_pictures import picture_of_best_run
 from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
     """Draw the response of the best run's loop to a step of the set point, on the identified
     model."""
-    return draw_unstyled(picture_of_best("set_point_step", study))
+    return draw_unstyled(picture_of_best_run("set_point_step", study))

@@ -27,12 +27,12 @@ def with_physical_amplitudes(study: StudyFolder, table: pd.DataFrame) -> pd.Data
             continue
         is_read = place < MOST_READ and bool(name)
         run = study.run(name) if is_read else None
-        texts.append(physical_coverage_reference(str(text), run, study.units.input))
+        texts.append(coverage_reference_text(str(text), run, study.units.input))
     named = pd.Series(texts, index=table.index, dtype="string")
     return table.assign(**{COLUMN: named})
 
 
-def physical_coverage_reference(text: str, run: RunFolder | None, unit: str) -> str:
+def coverage_reference_text(text: str, run: RunFolder | None, unit: str) -> str:
     """Text that names the record and frequency band where the tolerated model error is smallest
     relative to the measured one. The input amplitude is in physical units."""
     record, _, _ = text.partition(", ")

@@ -123,7 +123,7 @@ def panels_with_data(table: pd.DataFrame) -> list[ScatterPlot]:
     fits = numeric_column(table, "fit_test_percent")
     alike = fits.max() - fits.min() < SAME_FIT
     candidates = [panel for panel in PANELS if not (alike and panel.x == fits.name)]
-    telling = [_replace_constant_share(table, panel) for panel in candidates]
+    telling = [_replace_constant_settled_fraction(table, panel) for panel in candidates]
     return [panel for panel in telling if _has_numbers(table, panel)]
 
 
@@ -148,7 +148,7 @@ def _has_numbers(table: pd.DataFrame, panel: ScatterPlot) -> bool:
     return bool((across * up).notna().any())
 
 
-def _replace_constant_share(table: pd.DataFrame, panel: ScatterPlot) -> ScatterPlot:
+def _replace_constant_settled_fraction(table: pd.DataFrame, panel: ScatterPlot) -> ScatterPlot:
     """Plot the settling time instead of the settled fraction if every initial state settles."""
     if panel.y != "stable_fraction":
         return panel

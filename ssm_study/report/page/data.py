@@ -82,7 +82,9 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     data: dict[str, Any] = {"study": study.name, "folder": study.folder.resolve().name}
     data["verdicts"] = [vars(verdict) for verdict in VERDICTS]
     data["columns"] = {name: encode_repeats(table[name]) for name in names}
-    data["words"] = {name: study.units.physical_words(printed_column_name(name)) for name in names}
+    data["words"] = {
+        name: study.units.replace_words_by_units(printed_column_name(name)) for name in names
+    }
     data["menus"] = group_by_part([name for name in names if is_offered_in_menus(name)])
     data["known_columns"] = listed_columns(table)
     data["first"] = first_columns(table)

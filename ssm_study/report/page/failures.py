@@ -44,7 +44,7 @@ def failure_groups(table: pd.DataFrame) -> list[FailureGroup]:
         record = row_as_record(needed.iloc[place])
         sentence = f"{record['verdict']}: {failure_reason(record)}"
         groups.setdefault(NUMBER.sub("#", sentence), []).append((place, sentence))
-    worst_first = sorted(groups, key=lambda sentence: (outcome_severity(sentence), sentence))
+    worst_first = sorted(groups, key=lambda sentence: (failure_severity(sentence), sentence))
     return [make_failure_group(groups[sentence]) for sentence in worst_first]
 
 
@@ -55,7 +55,7 @@ def make_failure_group(runs: list[tuple[int, str]]) -> FailureGroup:
     return FailureGroup(reason=reason, count=len(runs), places=places)
 
 
-def outcome_severity(sentence: str) -> int:
+def failure_severity(sentence: str) -> int:
     """Rank of a failure sentence by severity, for sorting groups of failed runs."""
     return next((k for k, word in enumerate(SEVERITY) if sentence.startswith(word)), -1)
 

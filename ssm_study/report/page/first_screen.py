@@ -9,11 +9,11 @@ import pandas as pd
 
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, evidence_text
 from ssm_study.report.outcome import (
-    fresh_data_exceed_coverage,
     fresh_error_ratio_text,
     loop_place_text,
     pi_comparison_text,
     refit_text,
+    unused_data_exceed_coverage,
 )
 from ssm_study.report.page.card import Card, Record
 from ssm_study.report.page.proof_card import (
@@ -196,7 +196,7 @@ def outcome_remarks(record: Record) -> Iterator[Remark]:
     if verdict != SETTLED:
         sentences = [f"{verdict.word}: {verdict.sentence}", *failure_reasons(record)]
         yield Remark(title="Outcome", text=join_sentences(sentences), is_warning=True)
-    if fresh_data_exceed_coverage(record):
+    if unused_data_exceed_coverage(record):
         sentence = "Data that neither fit nor design has used show a larger model error than the "
         sentence += f"proof covers{fresh_error_ratio_text(record).replace(';', ':', 1)}."
         yield Remark(title="Fresh data", text=sentence, is_warning=True)

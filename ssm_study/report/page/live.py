@@ -12,7 +12,7 @@ from threading import Lock
 from ssm_study.engine.records import RECORD, read_record
 from ssm_study.refusal import BadRequest, require
 from ssm_study.report.page.writing import write_page
-from ssm_study.table.gather import gather, record_marks
+from ssm_study.table.gather import gather, record_file_states
 
 LOCALHOST = "127.0.0.1"  # nobody else on the network sees the study
 POLICY = (
@@ -51,17 +51,17 @@ class LivePage:
     def page(self) -> str:
         """HTML of the live report page, with a script that asks for changes every two seconds."""
         with self.lock:
-            mark = self.study_state_mark()
-            if mark != self.mark and record_marks(self.study):
+            mark = self.study_state_digest()
+            if mark != self.mark and record_file_states(self.study):
                 gather(self.study)
                 self.html = write_page(self.study).read_text(encoding="utf-8")
                 self.mark = mark
             allowed = self.html.replace(POLICY, f"{POLICY}; connect-src 'self'", 1)
             return allowed + SCRIPT
 
-    def study_state_mark(self) -> str:
+    def study_state_digest(self) -> str:
         """Text that changes whenever the record of a run in the study changes."""
-        marks = sorted((name, *mark) for name, mark in record_marks(self.study).items())
+        marks = sorted((name, *mark) for name, mark in record_file_states(self.study).items())
         return str(hash(tuple(marks)))
 
     def page_state(self) -> dict[str, str]:
@@ -72,7 +72,7 @@ class LivePage:
         counts = Counter(str(record["status"]) for record in records if record is not None)
         progress_text = ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
         return {
-            "mark": self.study_state_mark(),
+            "mark": self.study_state_digest(),
             "line": f"Live: {counts.total()} runs: {progress_text or 'none yet'}",
         }
 

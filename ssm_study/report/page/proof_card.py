@@ -9,7 +9,7 @@ from jaxtyping import Float
 from ssm_study.api.summaries import round_rate_down
 from ssm_study.certificates.decay_time import decay_time_text
 from ssm_study.evidence.finding import CANNOT_JUDGE
-from ssm_study.report.outcome import fresh_data_exceed_coverage, fresh_error_ratio_text, refit_text
+from ssm_study.report.outcome import fresh_error_ratio_text, refit_text, unused_data_exceed_coverage
 from ssm_study.report.page.card import Card, Record
 from ssm_study.report.speed_up import open_loop_rate, unproved_speed_up_text
 from ssm_study.study.recordings import RecordedCases
@@ -122,7 +122,7 @@ def coverage_sentence(record: Record) -> str:
     covered = f"A model error {coverage_text(coverage)} times as large as the records show is "
     covered += "covered, at every frequency above zero: on such a plant the loop comes to rest, "
     covered += f"while the rates are those of the model{refit_text(record)}"
-    if fresh_data_exceed_coverage(record):  # a remark of its own says so
+    if unused_data_exceed_coverage(record):  # a remark of its own says so
         return covered
     return covered + fresh_error_ratio_text(record)
 
@@ -132,7 +132,7 @@ def coverage_text(coverage: float) -> str:
     return f"{math.floor(100 * coverage) / 100:.2f}"
 
 
-def limited_start_range(record: Record) -> tuple[float, float] | None:
+def full_rate_initial_outputs(record: Record) -> tuple[float, float] | None:
     """Range of initial outputs from which the contraction rate proved without input limits also
     holds with them."""
     names = ("limit_lower", "limit_upper", "unlimited_from", "unlimited_to")
@@ -144,7 +144,7 @@ def limited_start_range(record: Record) -> tuple[float, float] | None:
 def input_limit_text(record: Record, loop: RecordedLoopFacts | None) -> str:
     """Text on the input limits and the range of initial outputs for which the certified rate holds.
     It names the share of the shown starts among them."""
-    start_range = limited_start_range(record)
+    start_range = full_rate_initial_outputs(record)
     if start_range is None:
         return ""
     first, last = start_range
@@ -159,14 +159,14 @@ def input_limit_text(record: Record, loop: RecordedLoopFacts | None) -> str:
         if loop.is_within_settling_band(*start_range):
             share = f", all within the settling band of ±{loop.settling_band:.3g}{output_unit}"
         share += f", where {inside} of the {len(loop.initial_outputs)} starts shown {verb}"
-    everywhere = limited_rate_text(record, loop)
+    everywhere = limited_input_rate_text(record, loop)
     return (
         f"; with the input between {limits} only from rest at outputs between {outputs}{share}; "
         f"from everywhere {everywhere}"
     )
 
 
-def limited_rate_text(record: Record, loop: RecordedLoopFacts | None) -> str:
+def limited_input_rate_text(record: Record, loop: RecordedLoopFacts | None) -> str:
     """Text on the contraction rate that is proved from all initial states with a limited input."""
     rate = record.get("limited_rate")
     if rate is None:
@@ -188,7 +188,7 @@ def unproved_statements(record: Record, loop: RecordedLoopFacts | None) -> list[
             f"a plant whose error in the loop exceeds {times} times what the records show",
             "a steady offset (frequency zero), such as friction leaves",
         ]
-    start_range = limited_start_range(record)
+    start_range = full_rate_initial_outputs(record)
     if start_range is not None:
         excluded.append(
             f"with the input limited, {describe_starts_outside_proof(start_range, loop)}"

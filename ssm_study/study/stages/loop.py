@@ -64,7 +64,8 @@ def compute_loop(
 
 
 def read_loop(folder: Path) -> Experiment | None:
-    """Read the stored closed-loop experiment of a run; None if a gain was missing."""
+    """Read the stored closed-loop simulations of a run; None if no loop was closed, since the run
+    has no controller or no observer."""
     return read_experiment(folder) if (folder / ON_PLANT).is_file() else None
 
 
