@@ -30,7 +30,7 @@ from typing import Any
 from common import ROOT, write
 
 from ssm_study.engine.records import read_record
-from ssm_study.engine.store import intact_manifest
+from ssm_study.engine.store import read_intact_manifest
 
 SSM_STUDY = (sys.executable, "-m", "ssm_study.cli")
 WORDS = (
@@ -107,7 +107,7 @@ class Place:
         if self.statuses() != "2 ok":
             return False
         if SWEEP == TOY:
-            return all(intact_manifest(run) is not None for run in self.runs())
+            return all(read_intact_manifest(run) is not None for run in self.runs())
         return all(answer([*SSM_STUDY, "verify", str(run)]).status == 0 for run in self.runs())
 
     def files_of_the_store(self) -> list[Path]:

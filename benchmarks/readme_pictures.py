@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 
 from ssm_study import style
 from ssm_study.models.identified import SSM
-from ssm_study.report.figures.certified_decay import controlled_step, relative_distances
+from ssm_study.report.figures.certified_decay import controlled_step_function, relative_distances
 from ssm_study.report.study_folder import RecordedCases, StudyFolder
 
 PICTURES = Path(__file__).resolve().parents[1] / "docs" / "pictures"
@@ -160,7 +160,7 @@ def _decay(axes: Axes, model: SSM, certificate: dict[str, Any], record: dict[str
     a, b, k, p = (
         np.array({**certificate["state_feedback"], **side}[name]) for name in ("a", "b", "k", "p")
     )
-    d = relative_distances(controlled_step(model, a, b, k), np.linalg.inv(p))[
+    d = relative_distances(controlled_step_function(model, a, b, k), np.linalg.inv(p))[
         :, :DECAY
     ]  # the dual form: M = P^-1
     samples = np.arange(DECAY)

@@ -59,12 +59,12 @@ def iterations(folder: Path, settings: list[str]) -> list[Path]:
 
 def picture(runs: list[Path], table: pd.DataFrame) -> Figure:
     """The noise-free output of each iteration's loop from its own starts."""
-    from ssm_study.study.loop_recordings import read_experiment
+    from ssm_study.study.loop_recordings import read_loop_recordings
 
     fig = style.new_figure(style.COLUMN_IN, 1.6 * len(runs))
     panels = fig.subplots(len(runs), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, run, (_, row) in zip(panels, runs, table.iterrows(), strict=True):
-        loop = read_experiment(run)[0].controlled
+        loop = read_loop_recordings(run)[0].controlled
         time_s = loop.step_s * np.arange(loop.y.shape[1])
         axes.plot(time_s, loop.y[:, :, 0].T, lw=0.8)
         settled = f"{row.stable_count:.0f} of {row.initial_conditions:.0f} starts settle"

@@ -32,7 +32,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from ssm_study.engine.store import MANIFEST, intact_manifest
+from ssm_study.engine.store import MANIFEST, read_intact_manifest
 from ssm_study.table.gather import gather
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -254,9 +254,9 @@ def check(folder: Path, undisturbed: Path, harmed: bool) -> None:
     assert start(folder).wait(timeout=300) == 0
     pd.testing.assert_frame_equal(stable_table(folder), stable_table(undisturbed))
     for manifest in (folder / "results" / ".store").glob(f"[!.]*/[!.]*/{MANIFEST}"):
-        assert harmed or intact_manifest(manifest.parent) is not None, manifest
+        assert harmed or read_intact_manifest(manifest.parent) is not None, manifest
     for run in (folder / "results" / STUDY).glob("order*"):
-        assert intact_manifest(run) is not None, run
+        assert read_intact_manifest(run) is not None, run
     deadline = time.monotonic() + 10
     while left := processes_of(folder):
         assert time.monotonic() < deadline, f"still alive: {left}"

@@ -106,7 +106,7 @@ NAMES: Mapping[str, str] = {
     "signals.lagged": "signals.lagged_inputs",
     "signals.repetition": "signals.find_repetition",
     "study.preload.warm": "study.preload.preload_modules",
-    "study.recordings.read_experiment": "study.loop_recordings.read_experiment",
+    "study.recordings.read_experiment": "study.loop_recordings.read_loop_recordings",
     "study.recordings.read_rollouts": "study.loop_recordings.read_rollouts",
     "style.above": "style.place_legend_above",
     "style.canvas": "style.new_figure",

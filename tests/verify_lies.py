@@ -18,7 +18,7 @@ from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.models.metrics import Simulation, fit_columns
 from ssm_study.models.warm_start import PAST, choose_initial_state_source, initial_state_columns
 from ssm_study.refusal import BadRequest
-from ssm_study.study.loop_recordings import read_experiment
+from ssm_study.study.loop_recordings import read_loop_recordings
 from ssm_study.study.recordings import read_simulation, states_to_text
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import verify
@@ -59,7 +59,7 @@ def edited(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
 
 def loop_again(run: Path) -> dict[str, Any]:
     """The columns that the altered recordings would give."""
-    kept, _ = read_experiment(run)
+    kept, _ = read_loop_recordings(run)
     run_files = RunFiles(path=run, record={})
     design = run_files.design
     return behaviour_columns(kept) | certificate_columns(kept, design)

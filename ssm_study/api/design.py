@@ -14,7 +14,7 @@ from jaxtyping import Complex, Float
 from ssm_study import save_as_run
 from ssm_study.api.arguments import Values
 from ssm_study.api.design_files import read_stored_design, write_records
-from ssm_study.api.known_maps import name_unknown_maps, refuse_unknown_maps, warn_of_unknown_maps
+from ssm_study.api.known_maps import refuse_unknown_maps, unknown_map_ranges, warn_of_unknown_maps
 from ssm_study.api.loop_of_both import add_loop_verdict
 from ssm_study.api.model import Model, draw_or_refuse
 from ssm_study.api.scope_of_proof import refuse_picture_without_records
@@ -115,7 +115,7 @@ class Design:
         is_identified = self.origin is not None or bool(self.stored_record)
         if is_identified:
             return {}
-        return name_unknown_maps(self.model, self.certificate)
+        return unknown_map_ranges(self.model, self.certificate)
 
     @cached_property
     def facts(self) -> dict[str, Any]:

@@ -156,10 +156,10 @@ def find_sampling_time_s(step_s: Any, u: Any) -> float:
     problem = "is not given, and u has no index of times"
     has_period = step_s is not None
     require(has_period, "step_s", step_s, problem, remedy)
-    return sampling_time_s(step_s)
+    return convert_to_seconds(step_s)
 
 
-def sampling_time_s(step_s: Any) -> float:
+def convert_to_seconds(step_s: Any) -> float:
     """Convert a sampling time, given as a number or a time difference, to seconds. Raises
     `BadRequest` for anything else."""
     remedy = "give it in seconds"

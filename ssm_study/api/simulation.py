@@ -1,4 +1,4 @@
-"""Simulate a model, or a loop from initial outputs."""
+"""Simulation of an identified model, or of a closed loop that starts from given outputs."""
 
 import numpy as np
 import pandas as pd

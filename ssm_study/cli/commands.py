@@ -101,7 +101,7 @@ def excitation_settings(options: argparse.Namespace) -> dict[str, Any]:
 
         run = RunFiles(path=find_run_folder(options.after), record={})
         settings |= run.excitation
-        settings["sines"] = run.sine_angles
+        settings["sines"] = run.sine_frequencies
     given_options = {name: value for name, value in vars(options).items() if value is not None}
     return settings | given_options
 

@@ -78,7 +78,7 @@ def first_error_line(error: BaseException) -> str:
     return " ".join(text.split()).rstrip(".")
 
 
-def refuse_dashes(overrides: list[str], folder: Path) -> None:
+def refuse_dashed_settings(overrides: list[str], folder: Path) -> None:
     """Raise `BadRequest` for a setting that is written with dashes like an option, such as
     `--model.order 4`.
 

@@ -8,7 +8,7 @@ PICTURE = "overlay.png"
 WORDS = "compare the free runs of several runs on the test record that they share: table, picture"
 
 
-def add_overlay(commands: Any) -> None:
+def add_overlay_command(commands: Any) -> None:
     """Add the command `overlay RUN RUN ...`, which compares runs, to the parser."""
     parser = commands.add_parser("overlay", help=WORDS, description=WORDS[0].upper() + WORDS[1:])
     run_help = "a run folder, or a study with the first or last letters of a run's name"

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from ssm_study import __version__
 from ssm_study.cli import commands
 from ssm_study.cli.commands import Command
-from ssm_study.cli.overlay import add_overlay
+from ssm_study.cli.overlay import add_overlay_command
 from ssm_study.cli.paper_figures import PAPER_FIGURES
 
 Subparsers = Any  # argparse's own class of them is private
@@ -37,10 +37,10 @@ def build_parser() -> argparse.ArgumentParser:
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     run_help = "do one run, or with -m a sweep; see `ssm-study run --help`"
     subparsers.add_parser("run", help=run_help, add_help=False)
-    add_new(subparsers)
-    add_excite(subparsers)
-    add_look(subparsers)
-    add_overlay(subparsers)
+    add_new_command(subparsers)
+    add_excite_command(subparsers)
+    add_look_command(subparsers)
+    add_overlay_command(subparsers)
     for name, action in ACTIONS.items():
         add_action(subparsers, name, action)
     return parser
@@ -55,7 +55,7 @@ def add_command(subparsers: Subparsers, name: str, summary: str) -> argparse.Arg
     return command
 
 
-def add_new(subparsers: Subparsers) -> None:
+def add_new_command(subparsers: Subparsers) -> None:
     """Add the command `new FOLDER`, which writes the folder of a new study, to the parser."""
     summary = "write a study folder of your own: plant, theorem, figure, test, README"
     command = subparsers.add_parser("new", help=summary)
@@ -64,7 +64,7 @@ def add_new(subparsers: Subparsers) -> None:
     command.set_defaults(command=commands.write_new_study)
 
 
-def add_excite(subparsers: Subparsers) -> None:
+def add_excite_command(subparsers: Subparsers) -> None:
     """Add the command `excite`, which writes an excitation signal, to the parser."""
     summary = "write an input for your own plant: several amplitudes, each period twice, then rest"
     command = add_command(subparsers, "excite", summary)
@@ -84,7 +84,7 @@ def add_excite(subparsers: Subparsers) -> None:
     command.set_defaults(command=commands.write_excitation)
 
 
-def add_look(subparsers: Subparsers) -> None:
+def add_look_command(subparsers: Subparsers) -> None:
     """Add the command `look FILE`, which describes and draws a log and prints a command for fitting
     a model."""
     summary = "show what is in a log: columns, clock, holes, dynamics; and the command that fits it"

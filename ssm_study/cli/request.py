@@ -110,7 +110,7 @@ def refuse_empty_dictionaries(request: Command) -> None:
 
 
 @contextmanager
-def request_checks(request: Command) -> Iterator[None]:
+def check_jobs_before_start(request: Command) -> Iterator[None]:
     """Context manager in which every job of a sweep is checked before Hydra starts. It also shows
     progress where the launcher reports none.
 

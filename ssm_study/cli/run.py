@@ -18,12 +18,12 @@ from omegaconf.errors import OmegaConfBaseException
 from ssm_study import THREADS, limit_threads
 from ssm_study.cli.browser import open_page
 from ssm_study.cli.exit_status import DONE, SOME_FAILED, storage_error
-from ssm_study.cli.hydra_errors import explain_hydra_error, refuse_dashes
+from ssm_study.cli.hydra_errors import explain_hydra_error, refuse_dashed_settings
 from ssm_study.cli.request import (
     JUST_ASKING,
     OPEN,
+    check_jobs_before_start,
     compose_request,
-    request_checks,
     translate_arguments,
 )
 from ssm_study.cli.summary import print_run_summary, print_sweep_summary
@@ -71,7 +71,7 @@ def run(overrides: list[str]) -> int:
     `BadRequest` for a wrong request. Options and `--help` are Hydra's."""
     warnings.formatwarning = _warning_text
     refuse_more_threads_than_cores()
-    refuse_dashes(overrides, configuration_folder())
+    refuse_dashed_settings(overrides, configuration_folder())
     opens = OPEN in overrides
     if not any("=" in word for word in overrides) and not set(overrides) & {"--help", "-h"}:
         print(f"ssm-study: {NOTHING_SET}", file=sys.stderr, flush=True)
@@ -116,7 +116,7 @@ def answer_request(overrides: list[str], opens_page: bool) -> int:
         return DONE
     print_progress("reading the request")
     request = compose_request(overrides, folder, "study")
-    with request_checks(request):
+    with check_jobs_before_start(request):
         print_progress("loading the libraries")
         request.execute(_task_function())
     if request.config.dry_run:

@@ -63,7 +63,7 @@ class Module:
     imported: dict[str, list[Symbol]] = field(default_factory=dict)
 
     @property
-    def bound_names(self) -> set[str]:
+    def defined_names(self) -> set[str]:
         """Names that the statements of a source file define."""
         return set(self.parts) - {LOOSE}
 
@@ -91,13 +91,13 @@ class CodeReader:
 
     def _is_defined(self, module: str, name: str) -> bool:
         """Whether a module defines a name; for a module of a library, every name is accepted."""
-        if not self._is_followed(module.split(".")[0]):
+        if not self._is_source_read(module.split(".")[0]):
             return True
         read = self._read_module(module)
         if read is None:
             return False
         return (
-            read == Module() or name == WHOLE or name in read.bound_names or name in read.imported
+            read == Module() or name == WHOLE or name in read.defined_names or name in read.imported
         )
 
     def dependency_closure(self, roots: Iterable[Symbol]) -> set[Symbol]:
@@ -125,7 +125,7 @@ class CodeReader:
         """Symbol whose source is read in place of a given one: the whole library if the symbol
         comes from a library, or the current name if it was renamed."""
         top = symbol[0].split(".")[0]
-        if not self._is_followed(top):
+        if not self._is_source_read(top):
             return (top, LIBRARY)
         return self._current_symbol(symbol) if top == OURS else symbol
 
@@ -141,7 +141,7 @@ class CodeReader:
             return symbol
         return current_symbol(module, name)
 
-    def _is_followed(self, top: str) -> bool:
+    def _is_source_read(self, top: str) -> bool:
         """Whether the code fingerprints depend on a package's source, not only on its version."""
         if top not in self.followed:
             path = None if top in sys.stdlib_module_names else self._source_path(top)
@@ -169,7 +169,7 @@ class CodeReader:
 
     def _symbols_in_module(self, module: str, read: Module) -> Iterator[Symbol]:
         """All functions, classes and constants of a module, including files of a package."""
-        for bound in read.bound_names:
+        for bound in read.defined_names:
             yield module, bound
         for symbols in read.imported.values():
             yield from symbols
@@ -322,7 +322,7 @@ def _scan_source(path: Path, module: str) -> Module:
             for name, symbol in _import_bindings(statement, package):
                 imported[name].append(symbol)
             continue
-        for name in _bound_names(statement) or {LOOSE}:
+        for name in _defined_names(statement) or {LOOSE}:
             bound[name].append(statement)
     parts = {name: _scan_statements(statements, package) for name, statements in bound.items()}
     return Module(parts, dict(imported))
@@ -365,7 +365,7 @@ def _top_level_statements(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:
                 )
 
 
-def _bound_names(statement: ast.stmt) -> set[str]:
+def _defined_names(statement: ast.stmt) -> set[str]:
     """Names that a statement defines or assigns."""
     if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
         return {statement.name}

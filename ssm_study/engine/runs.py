@@ -18,7 +18,7 @@ from ssm_study.durable import PATIENCE_S, file_lock, link_or_copy, write_atomica
 from ssm_study.engine import records
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, LOCK, LOST, OK, RECORD, RUNNING
 from ssm_study.engine.stages import StageResult
-from ssm_study.engine.store import intact_manifest, write_manifest
+from ssm_study.engine.store import read_intact_manifest, write_manifest
 from ssm_study.refusal import BadRequest, require
 
 TRACEBACK = "traceback.txt"
@@ -68,7 +68,7 @@ class Run:
         if not stage.path.is_dir():  # then a file may be missing that it had
             raise FileNotFoundError(errno.ENOENT, "was removed", str(stage.path))
 
-    def is_missing_a_stage(self) -> bool:
+    def lacks_stored_stage(self) -> bool:
         """Whether the stored result of a computing step that a run uses was removed from the
         store."""
         return not all(folder.is_dir() for folder in self.stage_folders)
@@ -98,7 +98,7 @@ def execute_run(
             message = "another process is at this run"
             return Outcome(folder=folder, status=RUNNING, did="elsewhere", message=message)
         # Under the lock: another process may have done the run in the meantime.
-        before = run_status(folder, holds_lock=True)
+        before = record_with_status(folder, holds_lock=True)
         if not needs_run(before, retry_failed):
             return existing_outcome(folder, before)
         _archive_attempt(folder, before)
@@ -123,16 +123,16 @@ def _starting_columns(folder: Path, earlier_record: Mapping[str, Any] | None) ->
     }
 
 
-def run_status(folder: Path, holds_lock: bool = False) -> dict[str, Any] | None:
-    """Record of a run with its present status; None if there is no record. The status is `corrupt`
-    also for a finished run with a changed file.
+def record_with_status(folder: Path, holds_lock: bool = False) -> dict[str, Any] | None:
+    """Record of a run, in which the status is the present one; None if there is no record. The
+    status is `corrupt` also for a finished run with a changed file.
 
     `holds_lock` is for the holder of the lock: a run that says `running` is then nobody's.
     """
     record = records.read_record(folder)
     if record is not None and record["status"] == RUNNING and holds_lock:
         record["status"] = LOST
-    if record is not None and record["status"] in FINISHED and intact_manifest(folder) is None:
+    if record is not None and record["status"] in FINISHED and read_intact_manifest(folder) is None:
         record["status"] = CORRUPT
     return record
 
@@ -181,7 +181,7 @@ def _execute_work(
         if _is_scheduler_stop(error):
             raise
         death = error_columns(error, folder)
-        if run.is_missing_a_stage():  # its reader may say so in any words
+        if run.lacks_stored_stage():  # its reader may say so in any words
             death["failure_transient"] = True
         write_failure(folder, opening_columns | run.facts, death, text=traceback.format_exc())
         return Outcome(folder=folder, status=FAILED, did="ran", message=death["error_message"])

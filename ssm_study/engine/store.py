@@ -95,7 +95,7 @@ class Store(Stages):
         """Find the stored result of the computing step (stage) with a given key; None if it is
         missing or damaged."""
         folder = self.stage_folder(name, key)
-        manifest = intact_manifest(folder)
+        manifest = read_intact_manifest(folder)
         # The name holds 32 of its 64 digits only.
         if manifest is None or manifest.get("key") != key:
             return None
@@ -143,7 +143,7 @@ def _move_into_place(temporary: Path, final: Path) -> None:
     try:
         temporary.rename(final)
     except OSError:
-        if intact_manifest(final) is None:
+        if read_intact_manifest(final) is None:
             raise
         # Someone placed the same result without our lock: theirs is as good.
         shutil.rmtree(temporary)
@@ -204,7 +204,7 @@ def write_manifest(
         list(pool.map(flush_to_disk, [*entries, manifest, folder]))
 
 
-def intact_manifest(folder: Path) -> dict[str, Any] | None:
+def read_intact_manifest(folder: Path) -> dict[str, Any] | None:
     """Read the manifest of a folder; None if the manifest or a file that it lists was changed."""
     try:
         manifest = read_json_with_digest(read_limited_bytes(folder / MANIFEST))
@@ -218,8 +218,8 @@ def intact_manifest(folder: Path) -> dict[str, Any] | None:
 def damaged_files(folder: Path, manifest: dict[str, Any]) -> list[str]:
     """Names of files that a manifest lists and that are missing or differ in size or content."""
 
-    def is_same(path: Path, facts: dict[str, Any]) -> bool:
-        """Whether a file still has the size and checksum that its manifest states."""
+    def is_unchanged(path: Path, facts: dict[str, Any]) -> bool:
+        """Whether a file still has the size and checksum that the manifest of its folder states."""
         with suppress(OSError):
             if path.stat().st_size != facts["bytes"]:  # the cheap one first
                 return False
@@ -227,4 +227,4 @@ def damaged_files(folder: Path, manifest: dict[str, Any]) -> list[str]:
         return False
 
     files = manifest["files"]
-    return [name for name, facts in files.items() if not is_same(folder / name, facts)]
+    return [name for name, facts in files.items() if not is_unchanged(folder / name, facts)]

@@ -15,7 +15,14 @@ from omegaconf import DictConfig
 from ssm_study.durable import sha256_of_file
 from ssm_study.engine.plan import plan_lines
 from ssm_study.engine.provenance import provenance
-from ssm_study.engine.runs import Outcome, Run, execute_run, existing_outcome, needs_run, run_status
+from ssm_study.engine.runs import (
+    Outcome,
+    Run,
+    execute_run,
+    existing_outcome,
+    needs_run,
+    record_with_status,
+)
 from ssm_study.engine.settings import Settings, digest_of_value, plain_settings, yaml_text
 from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages
 from ssm_study.engine.store import Store
@@ -156,7 +163,7 @@ class Task(ABC, Generic[R]):
         """
         settings = self.settings(config)
         folder = run_folder(settings)
-        before = run_status(folder)
+        before = record_with_status(folder)
         if needs_run(before, bool(settings.get("retry_failed"))):
             return None
         outcome = existing_outcome(folder, before)

@@ -9,8 +9,8 @@ EARLIER = "not stated (made by an earlier version)"
 
 
 def is_of_earlier_version(record: Mapping[str, Any]) -> bool:
-    """Whether the record of a run with a design was written by an earlier version, which need not
-    state every column."""
+    """Whether the record of a run with a design was written by an earlier version, whose records
+    may lack columns."""
     is_older = int(record.get("record_version") or VERSION) < VERSION
     return is_older and record.get("status") == OK
 

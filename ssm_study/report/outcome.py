@@ -126,9 +126,10 @@ def format_column(
     return f"{value:{number_format}}{unit}" if isinstance(value, int | float) else str(value)
 
 
-def predicting_model_row(record: Mapping[str, Any], fit: str) -> tuple[str, str]:
-    """Row of a run's printed results on the fit of an output prediction that is not made by the
-    controlled model alone."""
+def prediction_fit_row(record: Mapping[str, Any], fit: str) -> tuple[str, str]:
+    """Row of a run's printed results on the fit of the model that predicts the outputs, where this
+    is not the controlled model: the mean of several models, or a model with products of input and
+    state."""
     if record["members"] == 1:
         return "Model that predicts", f"{fit}, with products of input and state"
     return "Mean that predicts", f"{fit}, of {record['members']} models"
@@ -144,7 +145,7 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     yield "fit_test_percent", "Fit on the test record", fit + started
     if record.get("members"):
         mean = format_column(record, "fit_test_members_percent", ".1f", " %")
-        yield "fit_test_members_percent", *predicting_model_row(record, mean)
+        yield "fit_test_members_percent", *prediction_fit_row(record, mean)
     yield "fit_baseline_percent", "Best baseline", baseline_text(record)
     yield "model_choice", "Chosen by the log", format_column(record, "model_choice")
     for name in sorted(key for key in record if key.startswith("score_test_")):
@@ -214,14 +215,14 @@ def proved_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
     unproved = unproved_speed_up_text(record, facts.step_s)
     if unproved:
         yield "controller_certified_rate", "Speed-up", unproved
-    yield from limit_rows(record, facts)
+    yield from input_limit_rows(record, facts)
     if facts.no_set_points_reason:
         words = f"none: {facts.no_set_points_reason}"
         yield "controller_gain_norm", "Exported, set points", words
     yield from coverage_rows(record)
 
 
-def limit_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
+def input_limit_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
     """Rows of a run's printed results on the contraction rate that is proved under input limits."""
     label = LIMITS_OF[_is_on_plant(record)]
     if record.get("neurons") and record.get("controller_certified"):
@@ -276,7 +277,8 @@ def refit_text(record: Mapping[str, Any]) -> str:
 
 
 def fresh_error_ratio_text(record: Mapping[str, Any]) -> str:
-    """Text on the ratio of the model error in fresh data to the model error in the records."""
+    """Text on the ratio of the model error in data not used for training to the model error in the
+    records."""
     needed = record.get("coverage_needed")
     if needed is None:
         return ""

@@ -60,16 +60,18 @@ def refuse_foreign_targets(config: DictConfig) -> None:
     tree = OmegaConf.to_container(config, resolve=False)
     assert isinstance(tree, dict)
     hydra = tree.pop("hydra", None)
-    _refuse_in_task(
+    _refuse_foreign_classes(
         tree
     )  # before anything is resolved: an interpolation may already read what it must not
     for path, key, value in walk_nodes(hydra, "hydra."):
-        _refuse_in_hydra(path, key, value)
+        _refuse_unsafe_hydra_value(path, key, value)
     if any("${" in str(value) for key, value in tree.items() if key != "run"):
-        _refuse_in_task(plain_settings(config))  # what the remaining interpolations bring in
+        _refuse_foreign_classes(
+            plain_settings(config)
+        )  # what the remaining interpolations bring in
 
 
-def _refuse_in_task(tree: Any) -> None:
+def _refuse_foreign_classes(tree: Any) -> None:
     """Raise `BadRequest` for a forbidden class in the settings of a study."""
     problem = "this interpolation reads the environment or builds configuration from text"
     for path, key, value in walk_nodes(tree):
@@ -91,7 +93,7 @@ def has_only_allowed_interpolations(allowed: re.Pattern[str], value: Any) -> boo
     return not isinstance(value, str) or value.count("${") == len(allowed.findall(value))
 
 
-def _refuse_in_hydra(path: str, key: str, value: Any) -> None:
+def _refuse_unsafe_hydra_value(path: str, key: str, value: Any) -> None:
     """Raise `BadRequest` for a value in Hydra's own section that could run a program."""
     is_plain = has_only_allowed_interpolations(HYDRAS_INTERPOLATION, value)
     problem = "this interpolation reads the environment or builds configuration from text"

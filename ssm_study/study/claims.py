@@ -34,7 +34,7 @@ from ssm_study.study.findings import (
     Claims,
     DerivedColumns,
     NotChecked,
-    RepeatedSettings,
+    UnconfirmableSettings,
     check_agreement,
     check_entries,
 )
@@ -43,7 +43,7 @@ from ssm_study.study.loop_recordings import (
     NOISE_FREE,
     loop_place_label,
     loop_signal_pairs,
-    read_experiment,
+    read_loop_recordings,
 )
 from ssm_study.study.name_claims import check_folder_name, expected_run_name
 from ssm_study.study.recording_labels import find_wrong_labels
@@ -90,14 +90,14 @@ def check_settings(run: RunFiles) -> Claims:
 
 def split_confirmable_settings(
     columns: Mapping[str, Any],
-) -> Iterator[DerivedColumns | RepeatedSettings]:
+) -> Iterator[DerivedColumns | UnconfirmableSettings]:
     """Split the recorded settings of a run into those that results can confirm and those that
     affect no result."""
     remaining = dict(columns)
     for reason, prefixes in UNSUPPORTED.items():
         names = [name for name in remaining if (setting_path(name) or name).startswith(prefixes)]
         repeated = {name: remaining.pop(name) for name in names}
-        yield RepeatedSettings(repeated, reason)
+        yield UnconfirmableSettings(repeated, reason)
     yield DerivedColumns(remaining)
 
 
@@ -137,14 +137,14 @@ def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
         {"fit_train_percent": records_fit_percent(run.model, records.training, records)}
     )
     for split in ("validation", "test"):
-        stored = getattr(run.simulated, split)
+        stored = getattr(run.model_run, split)
         pairs = record_signal_pairs(stored.records, getattr(records, split))
         pairs["start_up_samples"] = stored.start_up_samples, records.start_up_samples
         yield check_agreement(
             f"{split}.mcap records", pairs, ITERATED, "the configuration gives them"
         )
         yield from check_start_states(run, records, split)
-    yield DerivedColumns(initial_state_columns(run.model, records, run.simulated.test))
+    yield DerivedColumns(initial_state_columns(run.model, records, run.model_run.test))
     yield DerivedColumns(member_columns(read_averaged_models(run.path), records))
     if records.mismatch_records or run.mismatch_records:
         pairs = record_signal_pairs(run.mismatch_records, records.mismatch_records)
@@ -156,7 +156,7 @@ def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
         yield Checked(claim="evidence.json", holds=stated == judged, found=observation)
         yield DerivedColumns(judged)
     if "benchmark" in records.metadata:
-        scores_again = data_metrics.benchmark_rmse(records, run.simulated.test.simulated)
+        scores_again = data_metrics.benchmark_rmse(records, run.model_run.test.simulated)
         yield DerivedColumns({f"score_test_{i + 1}": score for i, score in enumerate(scores_again)})
     excitation = excitation_pairs(run, records)
     yield check_agreement("excitation.mcap", excitation, ITERATED, "the configuration gives it")
@@ -194,7 +194,7 @@ def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[
 
     Records of 0.1 know no choice: they begin with the first samples.
     """
-    stored = getattr(run.simulated, split).starts
+    stored = getattr(run.model_run, split).starts
     is_from_past = any(state is not None for state in stored)
     if not is_from_past and "piece_start" not in run.record:
         return
@@ -216,7 +216,7 @@ def check_model(run: RunFiles) -> Claims:
     """Check the proved properties of the stored model of a run, and its sampling time."""
     if run.has_certifiable_model:
         yield DerivedColumns(model_bound_columns(run.model) | model_size_columns(run.model))
-        steps = run.model.step_s, run.simulated.validation.records[0].step_s
+        steps = run.model.step_s, run.model_run.validation.records[0].step_s
         yield check_agreement(
             "model.json step_s", {"step_s": steps}, ONE_FORMULA, "that of the records"
         )
@@ -229,7 +229,7 @@ def check_fits(run: RunFiles) -> Claims:
     errors."""
     replayed: dict[str, Simulation] = {}
     for split in ("validation", "test"):
-        stored = getattr(run.simulated, split)
+        stored = getattr(run.model_run, split)
         start_up = stored.start_up_samples
         replay = Simulation.simulate_records(run.model, stored.records, start_up, stored.starts)
         pairs = label_pairs(stored.simulated, replay.simulated)
@@ -247,7 +247,7 @@ def check_loops(run: RunFiles) -> Claims:
     if not run.closes_loop:
         return
     controller = ObserverFeedback.from_design(run.model, run.design)
-    stored, loop_on = read_experiment(run.path)
+    stored, loop_on = read_loop_recordings(run.path)
     yield from check_loop_signals(run, controller, stored, loop_on)
     fitted = run.loop.with_default_horizon(run.model)
     on_model = fitted.run_on_model(run.plant, controller, stored.controlled.y[:, 0])

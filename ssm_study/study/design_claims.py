@@ -82,16 +82,16 @@ def check_certificate(run: RunFiles) -> Claims:
         yield check_stored_certificate(run, label, part, sentences)
     yield from check_internal_model(run)
     yield from check_input_limits(run)
-    yield from check_unlimited_starts(run)
+    yield from check_unlimited_initial_states(run)
     mismatch = remeasure_mismatch(run)
     facts = design_columns(design, run.model, balls, mismatch)
     facts |= recompute_coverage_columns(run)
-    if not run.may_lack("predicted_faster"):
-        records = run.simulated.validation.records, run.mismatch_records
+    if not run.may_lack_columns("predicted_faster"):
+        records = run.model_run.validation.records, run.mismatch_records
         facts |= faster_response_column(design, run.model, mismatch, *records)
     facts |= recompute_sine_columns(run, balls, mismatch, facts.get("coverage"))
     yield DerivedColumns(withhold_predictions(facts, run.record.get("evidence")))
-    yield NotChecked(columns_of_later_versions(run) | unrepeated_coverage_search(run))
+    yield NotChecked(columns_of_later_versions(run) | unrepeated_search_reason(run))
 
 
 def columns_of_later_versions(run: RunFiles) -> dict[str, str]:
@@ -108,25 +108,25 @@ def columns_of_later_versions(run: RunFiles) -> dict[str, str]:
         if run.record.get("coverage") is not None:
             columns.append("sine_coverage")
     reason = f"a record of version {run.record_version} need not have it"
-    absent = [name for name in columns if run.may_lack(name)]
+    absent = [name for name in columns if run.may_lack_columns(name)]
     if lacks_coverage(run):
         absent += [name for name in COVERAGE_COLUMNS if run.record.get(name) is None]
     return dict.fromkeys(absent, reason)
 
 
-def unrepeated_coverage_search(run: RunFiles) -> dict[str, str]:
-    """Reason why a failed search for a proof that covers the model error is not repeated; otherwise
-    empty."""
+def unrepeated_search_reason(run: RunFiles) -> dict[str, str]:
+    """Reason why a failed search for a proof that covers the recorded model error is not repeated;
+    otherwise empty."""
     is_unproved = run.record.get("coverage_reason") == UNPROVED
-    if not is_unproved or is_search_repeated(run):
+    if not is_unproved or is_coverage_search_repeated(run):
         return {}
     reason = "it is not repeated: it takes a minute and more, or is of an earlier version"
     return {"search for a proof of coverage": reason}
 
 
 def lacks_coverage(run: RunFiles) -> bool:
-    """Whether the files of a run by an earlier version do not state how much model error its
-    stability proof covers."""
+    """Whether a run was written by an earlier version whose files do not state how much model error
+    the stability proof covers."""
     is_claimed = any(run.record.get(name) is not None for name in COVERAGE_COLUMNS[:2])
     is_old = run.record_version < VERSION
     return is_old and not is_claimed and MeasuredDiscs.part not in run.design.extra_certificates
@@ -175,16 +175,18 @@ def check_input_limits(run: RunFiles) -> Iterator[Checked]:
         yield check_agreement("certificate limits", pairs, ONE_FORMULA, source)
 
 
-def check_unlimited_starts(run: RunFiles) -> Iterator[Checked]:
+def check_unlimited_initial_states(run: RunFiles) -> Iterator[Checked]:
     """Check the stored initial states for which a closed loop is proved never to reach an input
     limit."""
     model = run.model
     for part in run.design.extra_certificates.values():
         if isinstance(part, UnlimitedStart) and isinstance(model, SSM):
-            yield check_stored_starts(part, scaled_equilibrium_states(model, part.starts))
+            yield check_stored_initial_states(part, scaled_equilibrium_states(model, part.starts))
 
 
-def check_stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None) -> Checked:
+def check_stored_initial_states(
+    part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None
+) -> Checked:
     """Check that the initial states in a certificate equal the initial states computed from the
     model."""
     claim = "certificate starts"
@@ -202,7 +204,7 @@ def check_stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] |
 
 def remeasure_mismatch(run: RunFiles) -> Any:
     """Measure the model error again from the recordings of a run."""
-    validation = run.simulated.validation
+    validation = run.model_run.validation
     return measure_model_error(
         run.model, validation.records, validation.start_up_samples, run.mismatch_records
     )
@@ -213,7 +215,7 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
     certificate covers."""
     if lacks_coverage(run):
         return {}  # a run of before these columns claims nothing of them
-    validation = run.simulated.validation
+    validation = run.model_run.validation
     start_up = validation.start_up_samples
     mismatch = measure_model_error(run.model, validation.records, start_up, run.mismatch_records)
     premise = measure_error_spectra(
@@ -221,10 +223,10 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
     )
     fresh = None
     if run.specification.plant is None:
-        test = run.simulated.test
+        test = run.model_run.test
         fresh = measure_error_spectra(run.model, test.records, mismatch, test.start_up_samples)
     design = run.design
-    if is_search_repeated(run):
+    if is_coverage_search_repeated(run):
         # No word is believed: what the search finds is compared with what the record states.
         design = add_coverage_certificate(design, run.model, certified_balls(run.model), premise)
     facts = coverage_columns(design, run.model, premise, fresh)
@@ -235,7 +237,7 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
     return withhold_coverage(facts, run.model, design.gain_pair)
 
 
-def is_search_repeated(run: RunFiles) -> bool:
+def is_coverage_search_repeated(run: RunFiles) -> bool:
     """Whether a run records that no proof covers its model error, and the search for a proof is
     fast enough to be repeated.
 
@@ -248,13 +250,14 @@ def is_search_repeated(run: RunFiles) -> bool:
 def recompute_fresh_data_column(
     run: RunFiles, premise: ModelErrorSpectra, mismatch: Mismatch
 ) -> dict[str, Any]:
-    """Recompute the disc radius that fresh data sets need, by simulating the data sets again."""
+    """Recompute, by simulating further data sets of the plant again, the largest ratio of their
+    model error to the recorded one."""
     specification = run.specification
     if not specification.simulates_fresh_data:
         return {}
     assert isinstance(specification.data, SimulatedData)
     assert specification.plant is not None
-    start_up = run.simulated.validation.start_up_samples
+    start_up = run.model_run.validation.start_up_samples
     fresh = specification.data.simulate_fresh_sets(specification.plant, specification.seed)
     return coverage_needed_column(
         relative_radii_for_further_data(run.design, run.model, premise, mismatch, fresh, start_up)
@@ -268,7 +271,7 @@ def recompute_sine_columns(
     a run made before such tests existed; `coverage` is that over the run's records, which earlier
     runs did not compare with the sines."""
     specification = run.specification
-    if run.may_lack("sine_margin") or not specification.has_sine_trials:
+    if run.may_lack_columns("sine_margin") or not specification.has_sine_trials:
         return {}
     sines = measure_error_with_simulated_sines(
         run.design,
@@ -278,10 +281,10 @@ def recompute_sine_columns(
         specification.data,
         specification.plant,
         specification.seed,
-        only_peaks=run.may_lack("sine_coverage"),
+        only_peaks=run.may_lack_columns("sine_coverage"),
     )
     facts = sine_columns(run.design, run.model, balls, mismatch, sines)
-    if not run.may_lack("sine_coverage"):
+    if not run.may_lack_columns("sine_coverage"):
         facts |= sine_coverage_columns(run.design, sines, coverage)
     return facts
 

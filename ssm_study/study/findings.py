@@ -30,7 +30,7 @@ class DerivedColumns:
 
 
 @dataclass(frozen=True)
-class RepeatedSettings:
+class UnconfirmableSettings:
     """Recorded settings that affect no result of a run and can only be compared with its
     configuration. They fail where they differ from it, and are not checked where they agree, for
     the reason."""
@@ -46,7 +46,7 @@ class NotChecked:
     reasons: Mapping[str, str]
 
 
-Claims = Iterator[Checked | DerivedColumns | RepeatedSettings | NotChecked]
+Claims = Iterator[Checked | DerivedColumns | UnconfirmableSettings | NotChecked]
 
 
 def check_agreement(

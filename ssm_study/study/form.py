@@ -47,7 +47,7 @@ def check_form(run: RunFiles) -> Claims:
             yield Checked(claim=f"{name} kind", holds=False, found=observation)
     yield from _check_unreduced_fit(run)
     if run.has_certifiable_model:
-        yield from _check_reasons(run)
+        yield from _check_reason_texts(run)
     if run.closes_loop:
         yield from _check_settling_bands(run)
 
@@ -108,7 +108,7 @@ def _check_unreduced_fit(run: RunFiles) -> Iterator[Checked]:
     yield Checked(claim=BEFORE, holds=same, found=f"nothing was reduced, and the fit is {fit}")
 
 
-def _check_reasons(run: RunFiles) -> Claims:
+def _check_reason_texts(run: RunFiles) -> Claims:
     """Check that the recorded reason for a missing certificate is a single short line."""
     for label, part in run.design.certificates_by_name.items():
         if not isinstance(part, Infeasible):

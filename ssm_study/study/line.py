@@ -237,7 +237,7 @@ class Study(Task["Specification"]):
             "excitation": request.excitation.kind if request.plant else None,
             "synthesis_method": type(request.synthesis).method,
             **refinement_columns(configuration),
-            "rates_chosen": gains_with_automatic_rate(values),
+            "rates_chosen": automatic_rates_text(values),
         }
 
     def command_line_columns(self, request: "Specification", overrides: Sequence[str]) -> Facts:
@@ -300,7 +300,7 @@ def is_number_or_none(value: Any) -> bool:
     return isinstance(value, int | float | None)
 
 
-def gains_with_automatic_rate(values: Mapping[str, Any]) -> str:
+def automatic_rates_text(values: Mapping[str, Any]) -> str:
     """Text that names the gains, of controller or observer, whose contraction rate is chosen
     automatically."""
     if values["rates_chosen"] != "auto":

@@ -98,7 +98,7 @@ def loop_place_label(plant: Plant | None) -> str:
     return "device" if plant.real else "plant"
 
 
-def write_experiment(
+def write_loop_recordings(
     folder: Path, runs: LoopRuns, plant: Plant, identified_plant: Plant, metadata: dict[str, str]
 ) -> None:
     """Write all closed-loop simulations of a run into its folder as recordings.
@@ -113,7 +113,7 @@ def write_experiment(
         write_rollouts(folder / ON_MODEL, runs.on_model, None, identified_plant, metadata)
 
 
-def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
+def read_loop_recordings(folder: Path) -> tuple[LoopRuns, str]:
     """Read all closed-loop simulations of a run, and whether a plant or the identified model was
     simulated.
 

@@ -100,7 +100,7 @@ class RecordedCases:
         return float(self.about["settling_band"])
 
     @property
-    def settled_time_s(self) -> float:
+    def time_after_settling_s(self) -> float:
         """Time in seconds shortly after the last recorded closed-loop simulation has settled.
 
         The whole horizon where one does not.

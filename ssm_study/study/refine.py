@@ -20,7 +20,7 @@ from ssm_study.refusal import require
 from ssm_study.robustness.coverage import measure_error_spectra
 from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.study.line import STUDY
-from ssm_study.study.loop_recordings import read_experiment
+from ssm_study.study.loop_recordings import read_loop_recordings
 from ssm_study.study.run_files import CONFIGURATION, RunFiles
 from ssm_study.study.trials import read_logs, records_from_loops, refined_run_name
 from ssm_study.synthesis.measured_discs_run import coverage_columns
@@ -145,12 +145,12 @@ def _measure_trial(files: RunFiles, log: Path | None) -> TrialMismatch:
     """Measure the model error in a closed-loop trial, with the noise estimated from the run's
     records."""
     if log is None:
-        closed, _ = read_experiment(files.path)
+        closed, _ = read_loop_recordings(files.path)
         trial = records_from_loops(closed.controlled)
     else:
         data: Any = files.specification.data
         trial = read_logs([str(log)], data, files.model.step_s)
-    validation = files.simulated.validation
+    validation = files.model_run.validation
     open_loop = tuple(record for record in files.mismatch_records if not record.closed_loop)
     measured = (validation.records, validation.start_up_samples, open_loop + trial)
     mismatch = measure_model_error(files.model, *measured)

@@ -117,14 +117,14 @@ class RunFiles:
         return replace(records, mismatch_records=mismatch_records)
 
     @cached_property
-    def simulated(self) -> ModelRun:
+    def model_run(self) -> ModelRun:
         """Stored model of a run with its stored free runs, each read when it is first needed."""
         return ModelRun(self.path)
 
     @property
     def model(self) -> Any:
         """Identified model of a run, read from its file."""
-        return self.simulated.model
+        return self.model_run.model
 
     @cached_property
     def mismatch_records(self) -> Trajectories:
@@ -135,7 +135,7 @@ class RunFiles:
     def judgement(self) -> Judgement:
         """Judgement of the evidence for a run's predictions, computed again from data and model."""
         data = self.data
-        runs = self.simulated
+        runs = self.model_run
         mismatch = measure_model_error(
             self.model, data.validation, data.start_up_samples, data.mismatch_records
         )
@@ -146,7 +146,7 @@ class RunFiles:
         """Version of the format of a run's record."""
         return int(self.record.get("record_version", VERSION))
 
-    def may_lack(self, *columns: str) -> bool:
+    def may_lack_columns(self, *columns: str) -> bool:
         """Whether a run's record lacks all of the given columns, and was written by a version that
         did not have to state them."""
         return self.record_version < VERSION and not any(name in self.record for name in columns)
@@ -213,7 +213,7 @@ class RunFiles:
         }
 
     @property
-    def sine_angles(self) -> tuple[float, ...]:
+    def sine_frequencies(self) -> tuple[float, ...]:
         """Frequencies (rad/sample) of single sines at which a run's closed loop is most sensitive
         to model errors. Empty without a design."""
         from ssm_study.robustness.sine_trials import PEAKS, peak_frequencies

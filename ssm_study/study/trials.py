@@ -101,12 +101,12 @@ def read_logs(paths: Sequence[str], data: "RecordedSource", step_s: float) -> Tr
     trials: list[Trajectory] = []
     for path in paths:
         record = columns.read_record(Path(path))
-        _check_trial(record, path, step_s)
+        _check_trial_log(record, path, step_s)
         trials.append(replace(record, step_s=step_s, closed_loop=True))
     return tuple(trials)
 
 
-def _check_trial(record: Trajectory, path: str, step_s: float) -> None:
+def _check_trial_log(record: Trajectory, path: str, step_s: float) -> None:
     """Raise `BadRequest` for the log of a trial that is too short, has another sampling time, or
     has a constant input."""
     is_in_step = abs(record.step_s - step_s) <= AGREEMENT * step_s

@@ -24,7 +24,7 @@ def unverifiable_numbers(run: RunFiles) -> dict[str, str]:
     the largest slope are checked as bounds.
     """
     scale = run.model.scale
-    simulated = (run.simulated.validation, run.simulated.test)
+    simulated = (run.model_run.validation, run.model_run.test)
     inputs = [*run.recorded_training_inputs, *(record.u for record in run.mismatch_records)]
     outputs: list[np.ndarray] = []
     for part in simulated:
@@ -34,12 +34,12 @@ def unverifiable_numbers(run: RunFiles) -> dict[str, str]:
     scaffold_in = getattr(run.model, "scaffold_in", None)
     if isinstance(scaffold_in, MonotoneScaffold):
         signal = scale.scaled_input(np.concatenate(inputs))
-        places += unreached_ranges("scaffold_in", scaffold_in.breakpoints, signal)
+        places += unreached_range_texts("scaffold_in", scaffold_in.breakpoints, signal)
     scaffold_out = getattr(run.model, "scaffold_out", None)
     if isinstance(scaffold_out, MonotoneScaffold):
         signal = scale.scaled_output(np.concatenate(outputs))
         bends = scaffold_out(scaffold_out.breakpoints.T).T
-        places += unreached_ranges("scaffold_out", bends, signal)
+        places += unreached_range_texts("scaffold_out", bends, signal)
     reasons = dict.fromkeys(places, UNREACHED)
     if isinstance(scaffold_in, MlpScaffold):
         signal = scale.scaled_input(np.concatenate(inputs))
@@ -85,7 +85,7 @@ def leaky_rectifier(
     return np.where(z < 0, negative * z, positive * z)
 
 
-def unreached_ranges(
+def unreached_range_texts(
     name: str, breakpoint_rows: Float[np.ndarray, "m h"], signal: Float[np.ndarray, "T m"]
 ) -> Iterator[str]:
     """Texts on breakpoints and slopes of a piecewise-linear map that lie outside the range of a

@@ -27,7 +27,13 @@ from ssm_study.engine.records import (
 from ssm_study.refusal import escape_control_characters, require
 from ssm_study.renamed import withdrawn_setting
 from ssm_study.study.claims import OF_A_BASELINE, SECTIONS
-from ssm_study.study.findings import Checked, Claims, DerivedColumns, NotChecked, RepeatedSettings
+from ssm_study.study.findings import (
+    Checked,
+    Claims,
+    DerivedColumns,
+    NotChecked,
+    UnconfirmableSettings,
+)
 from ssm_study.study.form import check_form
 from ssm_study.study.rest_claims import LABELS, check_rest_design
 from ssm_study.study.run_files import RunFiles, error_text
@@ -165,7 +171,7 @@ def verify_files(run: RunFiles) -> Verification:
             findings.append(result)
         elif isinstance(result, DerivedColumns):
             derived |= result.columns
-        elif isinstance(result, RepeatedSettings):
+        elif isinstance(result, UnconfirmableSettings):
             derived |= result.columns
             repeated |= dict.fromkeys(result.columns, result.reason)
         else:
@@ -188,7 +194,7 @@ def verify_files(run: RunFiles) -> Verification:
 
 def _findings_of_sections(
     run: RunFiles,
-) -> Iterator[Checked | DerivedColumns | RepeatedSettings | NotChecked]:
+) -> Iterator[Checked | DerivedColumns | UnconfirmableSettings | NotChecked]:
     """Results of all checks that apply to a run; an error in a check becomes a failed claim."""
     for section in (check_form, *_applicable_sections(run)):
         try:

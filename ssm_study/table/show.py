@@ -339,8 +339,8 @@ def fold_statistics_lines(table: pd.DataFrame) -> list[str]:
 
 
 def _reason_lines(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]:
-    """Text lines with the reasons of failed or infeasible runs. Reasons that differ only in numbers
-    are merged; a run that the same command runs again is marked."""
+    """Text lines with the reasons why runs failed, are infeasible or are not certified. Reasons
+    that differ only in numbers are merged; a run that the same command runs again is marked."""
     named_columns = ("run", *REASONS, "failure_transient")
     columns = [name for name in named_columns if name in rows]
     runs: dict[str, list[tuple[str, str]]] = {}

@@ -237,7 +237,7 @@ def test_a_first_log_gives_what_is_not_given(smoke_run: Path, tmp_path: Path) ->
     step_s = excitation["step_s"]
     samples_per_settling = round(excitation["settle_s"] / step_s)
     of_levels = settlings * samples_per_settling
-    angles = run_files.sine_angles
+    angles = run_files.sine_frequencies
     assert 1 <= len(angles) <= 2
     signal = table["input"].to_numpy()
     last = signal[of_levels:] - rest

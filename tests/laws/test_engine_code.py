@@ -263,7 +263,7 @@ def test_a_library_in_a_folder_of_its_own_counts_by_its_version(
     (package / "__init__.py").write_text("constant = 1\n")
     if is_installed:
         (tmp_path / f"{name}-1.0.dist-info").mkdir()
-    is_followed = CodeReader()._is_followed(name)
+    is_followed = CodeReader()._is_source_read(name)
     assert is_followed is not is_installed
 
 

@@ -19,7 +19,7 @@ from ssm_study.durable import read_json_with_digest, write_json_atomically
 from ssm_study.engine.records import RECORD, read_record
 from ssm_study.engine.runs import Run, execute_run
 from ssm_study.engine.settings import digest_of_value
-from ssm_study.engine.store import Store, intact_manifest
+from ssm_study.engine.store import Store, read_intact_manifest
 from ssm_study.table.gather import PARQUET, gather
 
 
@@ -157,7 +157,7 @@ def test_a_stage_is_whole_or_absent(
         store = Store(tmp_path / f"{nth}")
         model_path = tmp_path / f"{nth}" / "model"
         for folder in (model_path).glob("[!.]*"):
-            assert intact_manifest(folder) is not None
+            assert read_intact_manifest(folder) is not None
         stage = store.stage_result("model", digest_of_value(1), {}, compute)
         a_path = stage.path / "inner" / "a.json"
         text = a_path.read_text()
@@ -188,10 +188,10 @@ def test_a_run_is_never_half_finished(
         record = read_record(folder)
         assert record is None or record["status"] in ("ok", "failed", "lost")
         if record is not None and record["status"] == "ok":
-            assert intact_manifest(folder) is not None
+            assert read_intact_manifest(folder) is not None
         status = execute_run(folder, {"seed": nth}, work).status
         assert status == "ok"  # the same command finishes it
-        assert intact_manifest(folder) is not None
+        assert read_intact_manifest(folder) is not None
         paths = folder.glob("*.tmp")
         assert not list(paths)
 

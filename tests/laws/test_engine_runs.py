@@ -14,8 +14,8 @@ from omegaconf import OmegaConf
 from ssm_study.engine import settings as naming
 from ssm_study.engine.provenance import provenance
 from ssm_study.engine.records import RECORD, parse_record, read_record, write_record
-from ssm_study.engine.runs import Run, execute_run, run_status
-from ssm_study.engine.store import intact_manifest
+from ssm_study.engine.runs import Run, execute_run, record_with_status
+from ssm_study.engine.store import read_intact_manifest
 from ssm_study.engine.task import run_folder
 from ssm_study.refusal import BadRequest
 from ssm_study.study.stages.files import write_json
@@ -54,7 +54,7 @@ def test_a_finished_run_is_recorded_and_never_touched_again(tmp_path: Path) -> N
         did = execute_run(folder, {"seed": 4}, unreachable, retry_failed=retry).did
         assert did == "found"
     assert snapshot(folder) == before
-    assert intact_manifest(folder) is not None
+    assert read_intact_manifest(folder) is not None
 
 
 def test_the_record_is_flat_strict_json_with_provenance(tmp_path: Path) -> None:
@@ -213,7 +213,7 @@ def test_a_damaged_run_is_done_again_by_the_same_command(tmp_path: Path, name: s
     folder = tmp_path / "study" / "run"
     execute_run(folder, {"seed": 1}, good)
     (folder / name).write_text('{"status": "ok"}')
-    status = (run_status(folder) or {})["status"]
+    status = (record_with_status(folder) or {})["status"]
     assert status == "corrupt"
     did = execute_run(folder, {"seed": 1}, good).did
     assert did == "ran"

@@ -15,7 +15,7 @@ from ssm_study.engine import plan as planning
 from ssm_study.engine.plan import PlannedStages, plan_lines
 from ssm_study.engine.settings import canonical_json, digest_of_value
 from ssm_study.engine.stages import Stage
-from ssm_study.engine.store import MANIFEST, Store, intact_manifest
+from ssm_study.engine.store import MANIFEST, Store, read_intact_manifest
 from ssm_study.refusal import BadRequest
 
 KEY = digest_of_value("a key")
@@ -96,7 +96,7 @@ def test_damage_is_never_silent(tmp_path: Path, name: str, damage: str) -> None:
     stage = store.stage_result("model", KEY, {}, write_content)
     path = stage.path / name
     harm(path, damage)
-    assert intact_manifest(stage.path) is None
+    assert read_intact_manifest(stage.path) is None
     again = store.stage_result("model", KEY, {}, write_content)
     assert not again.reused
     assert content_of(again.path) == CONTENT
@@ -129,12 +129,12 @@ def test_no_flipped_bit_anywhere_in_a_stage_is_silent(tmp_path: Path) -> None:
             flipped = bytearray(original)
             flipped[bit // 8] ^= 1 << (bit % 8)
             (stage.path / name).write_bytes(flipped)
-            manifest = intact_manifest(stage.path)
+            manifest = read_intact_manifest(stage.path)
             if manifest is not None:
                 silent.append((name, bit))
         (stage.path / name).write_bytes(original)
     assert silent == []
-    assert intact_manifest(stage.path) is not None
+    assert read_intact_manifest(stage.path) is not None
 
 
 def test_a_computation_that_raises_leaves_nothing(tmp_path: Path) -> None:
@@ -225,7 +225,7 @@ def test_two_nodes_that_do_not_see_each_others_locks_share_their_stages(tmp_path
     paths = (store / "model").iterdir()
     folders = list(paths)
     assert len(folders) == 9
-    assert all(intact_manifest(folder) is not None for folder in folders)
+    assert all(read_intact_manifest(folder) is not None for folder in folders)
     assert not (store / ".corrupt").exists()
 
 

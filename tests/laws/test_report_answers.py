@@ -7,7 +7,7 @@ import scipy
 
 from ssm_study.report.answers import question_answers, swept_settings_line
 from ssm_study.report.page.charts import panel_contents, unplotted_answers
-from ssm_study.report.page.data import listed_columns, page_title
+from ssm_study.report.page.data import comparable_columns, page_title
 from ssm_study.report.page.failures import merge_number_ranges
 from ssm_study.table.columns import swept_settings
 
@@ -110,10 +110,10 @@ def test_numbers_in_total_leave_the_page_where_one_by_frequency_decides() -> Non
     runs = report_tables.table(40)
     table = runs.assign(coverage=1.1, certified_tolerance=0.05)
     weaker = {"mismatch_margin", "mismatch_gain", "certified_tolerance"}
-    assert weaker.isdisjoint(listed_columns(table))
-    assert "resolved_margin" in listed_columns(table)
+    assert weaker.isdisjoint(comparable_columns(table))
+    assert "resolved_margin" in comparable_columns(table)
     bare = table.assign(coverage=None, resolved_margin=None)
-    assert weaker <= set(listed_columns(bare)), "else they are all that there is"
+    assert weaker <= set(comparable_columns(bare)), "else they are all that there is"
 
 
 def test_plants_are_answered_one_by_one_since_their_seconds_do_not_compare() -> None:

@@ -305,7 +305,7 @@ def test_the_settling_band_is_that_of_the_loop_and_not_of_the_plant_that_was_con
     config_path.write_text("plant: {settling_band: 9.0}")
     assert run.closed_loop is not None
     assert run.closed_loop.settling_band == 0.5
-    assert 0.1 < run.closed_loop.settled_time_s < 0.5
+    assert 0.1 < run.closed_loop.time_after_settling_s < 0.5
 
 
 def test_a_recording_has_no_true_dead_zone() -> None:

@@ -14,7 +14,7 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.signals import Scale
-from ssm_study.study.design_claims import check_stored_starts
+from ssm_study.study.design_claims import check_stored_initial_states
 from ssm_study.synthesis.deployed import (
     certify_under_input_limits,
     equilibrium_corners,
@@ -151,10 +151,10 @@ def test_no_limit_acts_from_any_corner_of_the_box_also_where_the_outputs_are_mix
     certificates = certify_under_input_limits(model, design, *ENDS)
     part = certificates["state_feedback_unlimited"]
     starts = scaled_equilibrium_states(model, part.starts)
-    checked = check_stored_starts(part, starts)
+    checked = check_stored_initial_states(part, starts)
     assert checked.holds
     starts = scaled_equilibrium_states(model, old.starts)
-    checked = check_stored_starts(old, starts)
+    checked = check_stored_initial_states(old, starts)
     holds = checked.holds
     assert holds == (coupling == 0)
 

@@ -19,7 +19,7 @@ from ssm_study.engine.records import read_record, write_record
 from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.study.claims import SECTIONS
 from ssm_study.study.file_claims import check_files
-from ssm_study.study.findings import Checked, DerivedColumns, RepeatedSettings
+from ssm_study.study.findings import Checked, DerivedColumns, UnconfirmableSettings
 from ssm_study.study.recordings import read_simulation
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import Verification, _short_text, compare_column, judge_column, verify
@@ -134,7 +134,7 @@ def derived(smoke_run: Path, record: dict[str, Any]) -> dict[str, Any]:
         found += [
             item.columns
             for item in section(run)
-            if isinstance(item, DerivedColumns | RepeatedSettings)
+            if isinstance(item, DerivedColumns | UnconfirmableSettings)
         ]
     return {name: value for columns in found for name, value in columns.items()}
 

@@ -23,7 +23,7 @@ from ssm_study.engine.settings import plain_settings, run_name
 from ssm_study.report.outcome import coverage_rows, prediction_rows
 from ssm_study.study.claims import split_confirmable_settings
 from ssm_study.study.design_claims import check_internal_model
-from ssm_study.study.findings import RepeatedSettings
+from ssm_study.study.findings import UnconfirmableSettings
 from ssm_study.study.name_claims import expected_name_part
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import verify
@@ -184,7 +184,7 @@ def test_settings_that_no_result_supports_do_not_count_as_held(smoke_run: Path) 
     columns = {"training__max_epochs": 9, "synthesis__margin": 1.2, "seed": 0}
     apart = {}
     for item in split_confirmable_settings(columns):
-        if isinstance(item, RepeatedSettings):
+        if isinstance(item, UnconfirmableSettings):
             apart |= item.columns
     assert set(apart) == {"training__max_epochs", "synthesis__margin"}
     verification = verify(smoke_run)
@@ -221,9 +221,11 @@ def test_a_folder_that_cannot_be_written_to_is_shown(
 def test_record_versions(smoke_run: Path) -> None:
     """An older record may lack a column that it does not have; one that has it is held to it."""
     old = RunFiles(path=smoke_run, record={"record_version": 2, "sine_margin": 1.0})
-    assert old.may_lack("predicted_faster")
-    assert not old.may_lack("sine_margin")
-    assert not RunFiles(path=smoke_run, record={"record_version": 3}).may_lack("sine_margin")
+    assert old.may_lack_columns("predicted_faster")
+    assert not old.may_lack_columns("sine_margin")
+    assert not RunFiles(path=smoke_run, record={"record_version": 3}).may_lack_columns(
+        "sine_margin"
+    )
 
 
 def test_the_internal_model_is_the_one_that_was_requested(smoke_run: Path) -> None:

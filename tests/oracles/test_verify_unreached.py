@@ -8,7 +8,7 @@ import pytest
 
 from ssm_study.bounds.network import Network
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
-from ssm_study.study.unreached_numbers import cancelled_biases, unreached_ranges
+from ssm_study.study.unreached_numbers import cancelled_biases, unreached_range_texts
 
 ROW_OF_BREAKPOINTS = [-2.0, -1.5, -0.6, 0.4, 0.7, 1.3, 2.2]
 BREAKPOINTS = np.array([ROW_OF_BREAKPOINTS])
@@ -25,7 +25,7 @@ def test_a_number_is_listed_exactly_if_no_signal_changes_with_it(ends: tuple[flo
     even_points = np.linspace(*ends, 801)
     signal = even_points[:, None]
     listed = []
-    places = unreached_ranges("scaffold_in", MAP.breakpoints, signal)
+    places = unreached_range_texts("scaffold_in", MAP.breakpoints, signal)
     for place in places:
         row, _, numbers = place.partition(": ")
         numbers_of_row = numbers.split(", ")

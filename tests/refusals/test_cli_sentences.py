@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import ssm_study as st
-from ssm_study.api.fitting import sampling_time_s
+from ssm_study.api.fitting import convert_to_seconds
 from ssm_study.api.linearisation import import_python_control
 from ssm_study.api.parts import format_value
 from ssm_study.cli.main import WRONG_REQUEST, main
@@ -77,7 +77,7 @@ def test_a_column_that_is_named_twice_is_refused_before_any_run(
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), None, "often", 0.0, -1.0, [0.1]])
 def test_what_is_no_sampling_time_is_refused(value: object) -> None:
     with pytest.raises(BadRequest, match="step_s"):
-        sampling_time_s(value)
+        convert_to_seconds(value)
 
 
 def test_a_fit_without_a_sampling_time_takes_that_of_the_index_or_refuses() -> None:
@@ -96,7 +96,7 @@ def test_a_fit_without_a_sampling_time_takes_that_of_the_index_or_refuses() -> N
     "value", [0.1, np.float64(0.1), pd.Timedelta("100ms"), timedelta(milliseconds=100)]
 )
 def test_a_time_difference_is_a_sampling_time(value: object) -> None:
-    assert sampling_time_s(value) == 0.1
+    assert convert_to_seconds(value) == 0.1
 
 
 TEXTS = ["a\\b", "a\\", "it's", "a\\'b", "\\\\server\\share", "a b", "", "[x]", "\\\\'", "'\\"]

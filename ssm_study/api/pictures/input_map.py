@@ -46,7 +46,7 @@ def input_map_picture(model: Model, slopes: JacobianBall, input_label: str) -> P
         y_label="Local slope of S_u (–)",
         series=(slope_curve,),
         bands=(band,),
-        y_range=_slope_axis(slopes, local),
+        y_range=_slope_axis_range(slopes, local),
     )
     variation = np.ptp(local)
     steepest = np.abs(local).max()
@@ -56,7 +56,7 @@ def input_map_picture(model: Model, slopes: JacobianBall, input_label: str) -> P
     return Picture(title=title, panels=panels, columns=2)
 
 
-def _slope_axis(slopes: JacobianBall, learned_slopes: np.ndarray) -> tuple[float, float]:
+def _slope_axis_range(slopes: JacobianBall, learned_slopes: np.ndarray) -> tuple[float, float]:
     """Range of a vertical axis that shows the certified interval of slopes and all learned
     slopes."""
     interval = slopes.upper - slopes.lower

@@ -33,13 +33,13 @@ def draw(study: StudyFolder) -> Figure:
     if "k" in feedback:
         a, b, k, p = (np.array(feedback[name]) for name in ("a", "b", "k", "p"))
         metric = np.linalg.inv(p)  # the dual form: M = P^-1
-        distances = relative_distances(controlled_step(model, a, b, k), metric)
+        distances = relative_distances(controlled_step_function(model, a, b, k), metric)
         draw_decay(control, distances, feedback)
         label_axes(control, "State feedback")
     if "l" in observer:
         gain = np.array(observer["l"])
         metric = np.array(observer["q"])  # the primal form: M = Q
-        distances = relative_distances(observer_step(model, gain), metric)
+        distances = relative_distances(observer_step_function(model, gain), metric)
         draw_decay(observe, distances, observer)
         label_axes(observe, "Observer error")
     return fig
@@ -52,7 +52,7 @@ def certificate_of_side(certificate: Mapping[str, Any], side: str) -> dict[str, 
     return designed | deployed
 
 
-def controlled_step(
+def controlled_step_function(
     model: SSM,
     a: Float[np.ndarray, "n n"],
     b: Float[np.ndarray, "n k"],
@@ -62,7 +62,7 @@ def controlled_step(
     return lambda x: x @ a.T + model.scaffold_in(x @ k.T) @ b.T
 
 
-def observer_step(model: SSM, l: Float[np.ndarray, "n p"]) -> Step:  # noqa: E741 - the paper's letter
+def observer_step_function(model: SSM, l: Float[np.ndarray, "n p"]) -> Step:  # noqa: E741 - the paper's letter
     """Function that computes the next state of an observer, in scaled units."""
     rest = np.zeros((PAIRS, model.linear.b.shape[1]))
     return lambda x: model.advance(x, rest) + model.scaled_output_at(x, rest) @ l.T

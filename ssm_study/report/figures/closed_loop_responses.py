@@ -35,7 +35,7 @@ def draw(study: StudyFolder) -> Figure:
         given.step(time_s, u, where="post", color=colour, lw=0.8)
     given.set(title="Input of the controlled runs", xlabel="Time (s)", ylabel=loop.label("input"))
     for axes in (controlled, alone, given):
-        axes.set_xlim(0, loop.settled_time_s)
+        axes.set_xlim(0, loop.time_after_settling_s)
     return fig
 
 

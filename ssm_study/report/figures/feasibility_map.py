@@ -39,14 +39,14 @@ def draw(study: StudyFolder) -> Figure:
         if (here & has_both).any():
             look: dict[str, Any] = {"c": colour, "marker": marker, "s": 16, "lw": 0.9, "zorder": 3}
             axes.scatter(ratio[here], rate[here], label=label, **look)
-    draw_frontier(axes, ratio, numeric_column(table, LIMIT))
+    draw_certifiable_rates(axes, ratio, numeric_column(table, LIMIT))
     style.place_legend_above(axes, columns=2)
     axes.set_xlabel("Certified slope ratio of S$_u$, smallest / largest (–)")
     axes.set_ylabel(printed_column_name(RATE))
     return fig
 
 
-def draw_frontier(axes: Axes, ratio: pd.Series, limit: pd.Series) -> None:
+def draw_certifiable_rates(axes: Axes, ratio: pd.Series, limit: pd.Series) -> None:
     """Draw, for each model of a study, a bar at the largest contraction rate that can be certified.
     There is no single curve, since models differ in A."""
     models = pd.DataFrame({"ratio": ratio, "limit": limit}).dropna().drop_duplicates()

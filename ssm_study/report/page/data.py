@@ -86,8 +86,8 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
         name: study.units.replace_words_by_units(printed_column_name(name)) for name in names
     }
     data["menus"] = group_by_part([name for name in names if is_offered_in_menus(name)])
-    data["known_columns"] = listed_columns(table)
-    data["first"] = first_columns(table)
+    data["known_columns"] = comparable_columns(table)
+    data["first"] = initial_columns(table)
     data["parameters"] = swept_settings(table)
     data["trajectories"] = best_run_trajectories(study, table)
     data["pictures"] = best_run_pictures(study, table)
@@ -102,7 +102,7 @@ def is_offered_in_menus(name: str) -> bool:
     return name not in BOOKKEEPING and not name.startswith("stage_")
 
 
-def listed_columns(table: pd.DataFrame) -> list[str]:
+def comparable_columns(table: pd.DataFrame) -> list[str]:
     """Names of the table columns by which the report page compares runs. All columns stay in the
     record and in the CSV."""
     replaced = {
@@ -111,7 +111,7 @@ def listed_columns(table: pd.DataFrame) -> list[str]:
     return [column.name for column in DECLARED if column.word and column.name not in replaced]
 
 
-def first_columns(table: pd.DataFrame) -> list[str]:
+def initial_columns(table: pd.DataFrame) -> list[str]:
     """Names of the table columns that the report page shows until the reader asks for all."""
     results = [result.name for result in RESULTS if result.shown]
     return ["run", "verdict", *swept_settings(table), "stable_count", *results, *ALSO_FIRST]
@@ -346,7 +346,7 @@ def _run_recordings(run: RunFolder) -> dict[str, Any]:
     loop = run.closed_loop
     if loop is not None:
         time_s = loop.time_s("output")
-        until = int(np.searchsorted(time_s, loop.settled_time_s)) + 1
+        until = int(np.searchsorted(time_s, loop.time_after_settling_s)) + 1
         packed_loop = _encode_signals(loop, until, y="output", u="input", alone="uncontrolled")
         packed_loop["band"] = loop.settling_band
         reference = loop["reference"]

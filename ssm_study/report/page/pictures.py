@@ -210,11 +210,11 @@ def thin_line(x: Values, y: Values) -> tuple[Stretch, Stretch]:
     is_seen = np.isfinite(x) & np.isfinite(y)
     drawn = np.flatnonzero(is_seen | starts_of_gaps(is_seen))
     if np.isfinite(x).all():
-        drawn = keep_extremes(drawn, y)
+        drawn = extreme_indices(drawn, y)
     return x[drawn], y[drawn]
 
 
-def keep_extremes(places: Places, y: Values) -> Places:
+def extreme_indices(places: Places, y: Values) -> Places:
     """Indices of the lowest and the highest value in each section of a long curve.
 
     Both ends of the curve and its missing values are kept too."""

@@ -41,7 +41,7 @@ def compute_fresh_data(
     write_json(folder / FILE, {"needs": [repr(need) for need in needs]})
 
 
-def read_fresh_data_needs(folder: Path) -> list[float]:
+def read_fresh_data_error_ratios(folder: Path) -> list[float]:
     """Read, for each data set simulated anew, its largest model error divided by that of the run's
     own records."""
     return [float(need) for need in read_json(folder / FILE)["needs"]]
@@ -54,5 +54,5 @@ def fresh_data_result_columns(needs: list[float], *_: Any) -> Facts:
 
 
 FRESH_DATA = Stage(
-    "fresh_data", compute_fresh_data, read_fresh_data_needs, fresh_data_result_columns
+    "fresh_data", compute_fresh_data, read_fresh_data_error_ratios, fresh_data_result_columns
 )

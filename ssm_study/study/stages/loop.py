@@ -16,8 +16,8 @@ from ssm_study.study.loop_recordings import (
     ON_MODEL,
     ON_PLANT,
     loop_place_label,
-    read_experiment,
-    write_experiment,
+    read_loop_recordings,
+    write_loop_recordings,
 )
 from ssm_study.study.stages.free_run import ModelRun
 
@@ -53,7 +53,7 @@ def compute_loop(
     experiment = limited.with_default_horizon(model)
     closed = experiment.run_design(on, model, design, loop_seed)
     about = {"loop_on": loop_on, "loop_seed": str(loop_seed)}
-    write_experiment(folder, closed, on, twin, about)
+    write_loop_recordings(folder, closed, on, twin, about)
     if experiment.comparison is not None:
         identified = Identified.from_data_set(model, certified_balls(model), data)
         rows = experiment.comparison.rows(on, identified, experiment, loop_seed)
@@ -66,7 +66,7 @@ def compute_loop(
 def read_loop(folder: Path) -> Experiment | None:
     """Read the stored closed-loop simulations of a run; None if no loop was closed, since the run
     has no controller or no observer."""
-    return read_experiment(folder) if (folder / ON_PLANT).is_file() else None
+    return read_loop_recordings(folder) if (folder / ON_PLANT).is_file() else None
 
 
 def loop_result_columns(

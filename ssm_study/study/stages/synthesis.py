@@ -68,7 +68,7 @@ def recorded_error_spectra(model: Any, data: DataSet, mismatch: Mismatch) -> "Mo
     return measure_error_spectra(model, data.validation, mismatch, data.start_up_samples, records)
 
 
-def fresh_error_spectra(
+def unused_record_error_spectra(
     model: Any, data: DataSet, mismatch: Mismatch
 ) -> "ModelErrorSpectra | None":
     """Model error by frequency in the unused test record of a log; None for a simulated plant."""
@@ -99,7 +99,7 @@ def synthesis_result_columns(
     model = model_run.model
     balls = certified_balls(model)
     premise = recorded_error_spectra(model, data, recorded_mismatch)
-    fresh = fresh_error_spectra(model, data, recorded_mismatch)
+    fresh = unused_record_error_spectra(model, data, recorded_mismatch)
     facts = design_columns(design, model, balls, recorded_mismatch)
     facts |= coverage_columns(design, model, premise, fresh)
     facts |= faster_response_column(
