@@ -28,7 +28,7 @@ from benchmarks.coverage_by_seed import IdentifiedCase
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.loop.design_grid import DesignGrid
 from ssm_study.loop.peers.peer import Identified
-from ssm_study.synthesis.candidates import Candidates
+from ssm_study.synthesis.candidates import GainCandidates
 from ssm_study.synthesis.measured_discs_choice import LOST, LoopCoverage
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate
 from ssm_study.synthesis.sine_judgement import (
@@ -67,7 +67,7 @@ class DrawnDesigns:
     """Candidates of one identified plant, with the coverage of any pair of their gains."""
 
     case: IdentifiedCase
-    candidates: Candidates
+    candidates: GainCandidates
 
     def by_frequency(self, pairs: Any) -> list[float]:
         """Coverage by frequency of each pair; zero where the premise has a reason against any."""
@@ -111,7 +111,7 @@ def rows_of_task(task: GridTask) -> list[dict[str, Any]]:
     balls = certified_balls(case.model)
     known = Identified.from_data_set(case.model, balls, case.data)
     grid = DesignGrid(designs=task.designs)
-    candidates = grid.auto.candidates(case.model, balls)
+    candidates = grid.auto.compute_candidates(case.model, balls)
     if candidates is None:
         return []
     pairs = grid.draw_gain_pairs(candidates, task.seed)

@@ -29,7 +29,12 @@ from ssm_study.loop.metrics import pool_columns
 from ssm_study.loop.regulation import LoopRuns
 from ssm_study.plants.wrapper import SaturatedInput
 from ssm_study.study.run_files import RunFiles
-from ssm_study.synthesis.deployed import EVERYWHERE, SETS, certify_under_input_limits, output_range
+from ssm_study.synthesis.deployed import (
+    EVERYWHERE,
+    SETS,
+    certify_under_input_limits,
+    initial_output_range,
+)
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 
 LIMITS = {"dc_motor": (-1.5, 1.5), "stribeck_drive": (-0.5, 0.5), "cascaded_tanks": (1.7, 3.3)}
@@ -98,7 +103,7 @@ def row(folder: Path, integral: bool) -> dict[str, object]:
     }
     parts = certify_under_input_limits(files.model, design, np.array([low]), np.array([high]))
     found |= {"limited_rate": parts[EVERYWHERE].rate if EVERYWHERE in parts else None}
-    lower, upper = output_range(files.model, parts[SETS].starts)
+    lower, upper = initial_output_range(files.model, parts[SETS].starts)
     found |= {"unlimited_from": float(lower[0]), "unlimited_to": float(upper[0])}
     found["beyond_the_limits"] = float(np.maximum(u - high, low - u).clip(0).max())
     found["most_samples_at_a_limit"] = int(((u <= low) | (u >= high)).sum(axis=(1, 2)).max())

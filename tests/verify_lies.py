@@ -22,7 +22,7 @@ from ssm_study.study.loop_recordings import read_loop_recordings
 from ssm_study.study.recordings import read_simulation, states_to_text
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import verify
-from ssm_study.synthesis.deployed import output_range
+from ssm_study.synthesis.deployed import initial_output_range
 
 
 def failing(run: Path) -> set[str]:
@@ -143,7 +143,7 @@ def lie_about_starts(run: Path) -> None:
     size = np.sqrt(item / part.level)
     starts = (1 - 1e-9) * farthest / size
     assert type(part).holds(**(part.variables | {"starts": starts}))
-    low, high = output_range(model, starts)
+    low, high = initial_output_range(model, starts)
     unlimited_to = (read_record(run) or {})["unlimited_to"]
     lower_limit = 1.5 * unlimited_to
     assert high[0] > lower_limit

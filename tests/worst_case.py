@@ -90,7 +90,7 @@ def _smooth_jacobian(
     network: Network, v: Float[np.ndarray, "m"], temperature: float
 ) -> Float[np.ndarray, "k m"]:
     d = v
-    product = np.eye(network.inputs)
+    product = np.eye(network.input_count)
     layers = zip(
         network.weights,
         network.biases,

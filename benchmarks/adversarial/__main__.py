@@ -92,7 +92,7 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
     about["evidence"] = collect_findings(data, model, validation, test, known.mismatch).level
     settles = rows.stable_count_noise_free == rows.initial_conditions
     drawn = rows.index > 0
-    candidates = grid.auto.candidates(model, known.balls)
+    candidates = grid.auto.compute_candidates(model, known.balls)
     pairs = grid.draw_gain_pairs(candidates, seed)
     record = before(known)
     old = [

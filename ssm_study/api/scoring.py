@@ -11,7 +11,7 @@ import numpy as np
 
 from ssm_study.api.arguments import Values
 from ssm_study.data.arrays import check_time_index, disturbance_array, signal_array_and_names
-from ssm_study.models.members import mean_of_runs
+from ssm_study.models.members import mean_simulation
 from ssm_study.models.metrics import Simulation
 from ssm_study.refusal import require, require_at_least
 from ssm_study.signals import Trajectory
@@ -54,7 +54,7 @@ def simulate_given_record(
     record = Trajectory(u=inputs, y=outputs, d=measured, step_s=data.step_s)
     members = model.identification.members or (model.simulator,)
     runs = [Simulation.simulate_records(member, (record,), start_up) for member in members]
-    return runs[0] if len(runs) == 1 else mean_of_runs(runs)
+    return runs[0] if len(runs) == 1 else mean_simulation(runs)
 
 
 def read_start_up_samples(start_up_samples: Any, default: int, samples: int) -> int:

@@ -47,7 +47,7 @@ def is_proved_nonexpansive(network: Network, multipliers: Sequence[Float[np.ndar
 def _selection_matrices(network: Network) -> list[Exact]:
     """Matrices that select each layer's input and output from the vector of all signals of a
     network. The stack is `(v, d_1, ..., d_L)`."""
-    sizes = [network.inputs, *(len(bias) for bias in network.biases)]
+    sizes = [network.input_count, *(len(bias) for bias in network.biases)]
     ends = np.cumsum(sizes)
     identity = np.eye(ends[-1])
     selections = []

@@ -40,15 +40,15 @@ def lipsdp_ball(
     above."""
     hidden = [len(b) for b in network.biases]
     multipliers = [cp.Variable(h, nonneg=True) for h in hidden]
-    shape = (network.outputs, network.inputs)
-    centre = cp.Variable() * np.eye(network.inputs) if scalar_centre else cp.Variable(shape)
+    shape = (network.output_count, network.input_count)
+    centre = cp.Variable() * np.eye(network.input_count) if scalar_centre else cp.Variable(shape)
     square = cp.Variable(nonneg=True)  # L^2: the inequality is linear in it
     input_selection = _selection_matrix(network, 0)
     output_selection = _selection_matrix(network, len(hidden))
     form = _slope_constraint(network, multipliers) + square * input_selection.T @ input_selection
     deviation = network.weights[-1] @ output_selection - centre @ input_selection  # W d - C v
     # Schur complement of |W d - C v|^2
-    identity = np.eye(network.outputs)
+    identity = np.eye(network.output_count)
     matrix = cp.bmat([[form, deviation.T], [deviation, identity]])
     problem = cp.Problem(cp.Minimize(square), [matrix >> 0])
     _solve_program(problem)
@@ -82,7 +82,7 @@ def _proved_radius(network: Network, multipliers: list[Vector], centre: Matrix) 
     """Radius of a ball around a given centre that, by given multipliers, provably contains every
     Jacobian of a network. The radius follows from the Schur complement onto v of all other
     signals."""
-    m = network.inputs
+    m = network.input_count
     largest = max(float(t.max(initial=0.0)) for t in multipliers)
     # strictly positive, so the block is invertible
     positive = [np.maximum(t, 0) + 1e-9 * largest for t in multipliers]
@@ -107,7 +107,7 @@ def _proved_radius(network: Network, multipliers: list[Vector], centre: Matrix) 
 def _selection_matrix(network: Network, layer: int) -> Float[np.ndarray, "h w"]:
     """Matrix that selects one layer's input or output from the vector of all signals of a network.
     The stack is `(v, d_1, ..., d_L)`; layer 0 stands for the input `v`."""
-    sizes = [network.inputs, *(len(b) for b in network.biases)]
+    sizes = [network.input_count, *(len(b) for b in network.biases)]
     start = sum(sizes[:layer])
     end = start + sizes[layer]
     identity = np.eye(sum(sizes))

@@ -59,13 +59,13 @@ class Network:
         require(fits, "weights", shapes, problem, "write model.json again")
 
     @property
-    def inputs(self) -> int:
+    def input_count(self) -> int:
         """Number of input channels of a neural network."""
         first_weight = self.weights[0]
         return first_weight.shape[1]
 
     @property
-    def outputs(self) -> int:
+    def output_count(self) -> int:
         """Number of output channels of a neural network."""
         last_weight = self.weights[-1]
         return last_weight.shape[0]
@@ -83,7 +83,7 @@ class Network:
         """Jacobian matrix of a neural network at a point. `W_{L+1} Phi_L W_L ... Phi_1 W_1` with
         the slopes active at `v`."""
         d = v
-        product = np.eye(self.inputs)
+        product = np.eye(self.input_count)
         for w, b, low, high in self.hidden_layers():
             z = w @ d + b
             active_slopes = np.where(z >= 0, high, low)
@@ -203,7 +203,7 @@ def break_points(network: Network) -> list[Fraction]:
 def _affine_pieces(network: Network) -> list[_AffinePiece]:
     """Affine pieces of a network with one input and one output, computed layer by layer. Refuses a
     network with several inputs or outputs."""
-    shape = (network.inputs, network.outputs)
+    shape = (network.input_count, network.output_count)
     problem = "break points order scalar maps only"
     require(shape == (1, 1), "scaffold", shape, problem, "use method=interval or lipsdp")
     one = np.array([1], dtype=object)

@@ -87,7 +87,7 @@ def ball_around_scaled_identity(centre: Float[np.ndarray, "m m"], radius: float)
 def network_slope_bound(network: Network) -> SlopeBound:
     """Tightest bound on a network's slopes among those that several methods prove. Exact for one
     channel, otherwise the narrower of LipSDP and interval arithmetic."""
-    if network.inputs == 1:
+    if network.input_count == 1:
         return bound_from_interval(*slope_interval(network), "break_points")
     interval = interval_bound(network)
     try:
@@ -122,11 +122,11 @@ def interval_bound(network: Network) -> SlopeBound:
     So `||J - centre||_2 <= || radius ||_2`: sound on both sides, cheap, loose where neurons cancel.
     Refuses a network that is not square. Source: Moore 1966 (interval arithmetic).
     """
-    shape = (network.outputs, network.inputs)
+    shape = (network.output_count, network.input_count)
     problem = "a ball around alpha I needs as many outputs as inputs"
     require(shape[0] == shape[1], "scaffold", shape, problem, "use a square scaffolding")
-    centre = np.eye(network.inputs)
-    size = np.eye(network.inputs)  # size: what rounding errors are a share of
+    centre = np.eye(network.input_count)
+    size = np.eye(network.input_count)  # size: what rounding errors are a share of
     radius = np.zeros_like(centre)
     for weight, _, negative, positive in network.hidden_layers():
         centre = weight @ centre

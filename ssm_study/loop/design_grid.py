@@ -17,7 +17,7 @@ from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require_at_least
 from ssm_study.robustness.prediction import predict_margins
 from ssm_study.synthesis.auto import Auto
-from ssm_study.synthesis.candidates import Candidates
+from ssm_study.synthesis.candidates import GainCandidates
 from ssm_study.synthesis.integrated_error import relative_response_areas
 from ssm_study.systems import Gains
 
@@ -52,7 +52,7 @@ class DesignGrid(ComparisonTable):
     def rows(self, plant: Plant, identified: Identified, loop: Loop, seed: int) -> list[Row]:
         """Rows of the table, one for each random design: rates, predicted margins and closed-loop
         behaviour."""
-        candidates = self.auto.candidates(identified.model, identified.balls)
+        candidates = self.auto.compute_candidates(identified.model, identified.balls)
         if candidates is None:
             return []
         drawn = self.draw_gain_pairs(candidates, seed)
@@ -83,7 +83,7 @@ class DesignGrid(ComparisonTable):
             number += 1
         return rows
 
-    def draw_gain_pairs(self, candidates: Candidates, seed: int) -> Int[np.ndarray, "D 2"]:
+    def draw_gain_pairs(self, candidates: GainCandidates, seed: int) -> Int[np.ndarray, "D 2"]:
         """Draw random pairs of a controller gain and an observer gain, as indices into the lists of
         gains."""
         controller_count = len(candidates.ks)

@@ -37,10 +37,10 @@ def simulate_ensemble_mean(members: Sequence[Any], data: DataSet) -> tuple[Simul
     The kind of initial state is the one that predicts better."""
     runs = [simulate_validation_and_test(model, data) for model in members]
     validation, test = zip(*runs, strict=True)
-    return mean_of_runs(validation), mean_of_runs(test)
+    return mean_simulation(validation), mean_simulation(test)
 
 
-def mean_of_runs(runs: Sequence[Simulation]) -> Simulation:
+def mean_simulation(runs: Sequence[Simulation]) -> Simulation:
     """Average of several models' simulated outputs on the same records."""
     simulated_records = (run.simulated for run in runs)
     by_record = zip(*simulated_records, strict=True)

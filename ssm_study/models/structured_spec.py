@@ -311,7 +311,7 @@ class StructuredSpec(ModelSpec):
         read = TrainablePiecewiseMap(channels[1], self.output_knots, lower, upper)
         return lift, read
 
-    def without_neurons(self) -> SSMSpec:
+    def settings_without_neurons(self) -> SSMSpec:
         """Settings of the model with a linear recurrence that remains if the structured model has
         no neurons."""
         inward = Monotone() if self.knots else Linear()

@@ -47,7 +47,7 @@ class InitialStateChoice:
     test: States
     is_undecided: bool = False
 
-    def chosen_states(self, part: str) -> States:
+    def chosen_initial_states(self, part: str) -> States:
         """Chosen initial states of the validation or test records; None where the first samples are
         used to estimate them."""
         from_past: States = getattr(self, part)
@@ -194,9 +194,11 @@ def simulate_validation_and_test(model: Any, data: DataSet) -> tuple[Simulation,
     starts = choose_initial_state_source(model, data)
     window = data.start_up_samples
     validation = Simulation.simulate_records(
-        model, data.validation, window, starts.chosen_states("validation")
+        model, data.validation, window, starts.chosen_initial_states("validation")
     )
-    test = Simulation.simulate_records(model, data.test, window, starts.chosen_states("test"))
+    test = Simulation.simulate_records(
+        model, data.test, window, starts.chosen_initial_states("test")
+    )
     return validation, test
 
 

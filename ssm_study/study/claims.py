@@ -206,7 +206,7 @@ def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[
         )
     if starts.choice is None:
         return
-    is_past_chosen = any(state is not None for state in starts.chosen_states(split))
+    is_past_chosen = any(state is not None for state in starts.chosen_initial_states(split))
     agrees = starts.is_undecided or is_from_past == is_past_chosen
     observation = f"training and validation records prefer {starts.choice}"
     yield Checked(claim=f"{split}.mcap start", holds=agrees, found=observation)

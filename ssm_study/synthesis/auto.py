@@ -24,7 +24,7 @@ from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.sensitivity import gain_peaks_on_grid
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.candidate_grid import CandidateGrid
-from ssm_study.synthesis.candidates import Candidates
+from ssm_study.synthesis.candidates import GainCandidates
 from ssm_study.synthesis.covered_gains import GainSearch
 from ssm_study.synthesis.decay_response import NO_DECAYS
 from ssm_study.synthesis.design import Synthesis, require_contraction_rate
@@ -126,10 +126,10 @@ class Auto:
         setting is `auto`."""
         return self.rate if requested_rate == "auto" else requested_rate
 
-    def candidates(self, model: Model, balls: JacobianBalls) -> Candidates | None:
+    def compute_candidates(self, model: Model, balls: JacobianBalls) -> GainCandidates | None:
         """Candidate gains at all rates and weights of the grid with a Riccati solution; None if
         controller or observer has no candidate."""
-        return self.grid.candidates(model, balls)
+        return self.grid.compute_candidates(model, balls)
 
     def design(
         self,
@@ -143,7 +143,7 @@ class Auto:
 
         The mismatch is that of the validation records unless given.
         """
-        candidates = self.candidates(model, balls)
+        candidates = self.compute_candidates(model, balls)
         if candidates is None:
             slowest = self._slowest_design(model, balls)
             return self._with_search_outcome(slowest, "nothing on the grid is feasible")
@@ -210,7 +210,7 @@ class Auto:
         self,
         model: Model,
         balls: JacobianBalls,
-        candidates: Candidates,
+        candidates: GainCandidates,
         peaks: Float[np.ndarray, "C O"],
     ) -> Design:
         """Design with the largest stability margin among the candidate gains, and why no other
@@ -307,7 +307,7 @@ class CertifiedDesigns:
 
 
 def loop_gains_on_coarse_grid(
-    model: Model, balls: JacobianBalls, candidates: Candidates, mismatch: Mismatch
+    model: Model, balls: JacobianBalls, candidates: GainCandidates, mismatch: Mismatch
 ) -> Float[np.ndarray, "C O"]:
     """Largest loop gain over a coarse frequency grid for every pair of controller and observer;
     infinite where the loop is unstable."""
@@ -324,7 +324,7 @@ def loop_gains_on_coarse_grid(
     )
 
 
-def describe_unsolved_points(candidates: Candidates) -> str:
+def describe_unsolved_points(candidates: GainCandidates) -> str:
     """Text with the number of rates and weights for which no gain could be computed; empty if there
     are none."""
     count = candidates.unsolved

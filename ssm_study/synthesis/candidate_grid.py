@@ -16,7 +16,7 @@ from ssm_study.certificates.problem import NoSolution, Solution, dual_system
 from ssm_study.certificates.theorems.integral_action import append_internal_model, internal_model
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model, evaluate_activations
-from ssm_study.synthesis.candidates import Candidates, GainCandidate
+from ssm_study.synthesis.candidates import GainCandidate, GainCandidates
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace, System
 
@@ -67,7 +67,7 @@ class CandidateGrid:
             for weight in weights
         ]
 
-    def candidates(self, model: Model, balls: JacobianBalls) -> Candidates | None:
+    def compute_candidates(self, model: Model, balls: JacobianBalls) -> GainCandidates | None:
         """Candidate gains at all rates and weights of the grid with a Riccati solution; None if
         controller or observer has no candidate."""
         if any(abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output)):
@@ -94,7 +94,7 @@ class CandidateGrid:
         observer_gains = [solution.k.T for _, solution in observers]
         ls = np.stack(observer_gains)
         injections = stack_neuron_injections(observers)
-        return Candidates(
+        return GainCandidates(
             feedback=feedback,
             ks=ks,
             observing=observing,

@@ -15,7 +15,7 @@ GainCandidate = tuple[RiccatiSynthesis, Solution]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Candidates:
+class GainCandidates:
     """Candidate gains of controller and observer on a grid of rates and weights, each with its
     synthesis settings."""
 

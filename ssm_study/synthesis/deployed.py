@@ -229,7 +229,7 @@ class RangeWithinLimits:
         starts = scaled_equilibrium_states(model, stored_starts)
         if starts is None:
             return None
-        low, high = output_range(model, starts)
+        low, high = initial_output_range(model, starts)
         everywhere = certificates.get(EVERYWHERE)
         return cls(lower=low, upper=high, everywhere=everywhere)
 
@@ -257,7 +257,9 @@ def prove_within_input_limits(
     return proof
 
 
-def output_range(model: SSM, initial_states: Float[np.ndarray, "s j"]) -> tuple[Outputs, Outputs]:
+def initial_output_range(
+    model: SSM, initial_states: Float[np.ndarray, "s j"]
+) -> tuple[Outputs, Outputs]:
     """Smallest and largest initial output, in physical units, over given initial states and their
     mirror images about the equilibrium."""
     linear_c = model.linear.c

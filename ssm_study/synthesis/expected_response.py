@@ -23,7 +23,7 @@ from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import output_peak_from_noise, worst_case_loop_gain
 from ssm_study.robustness.sensitivity import FINE_ANGLES, ResponseCache, controller_spectral_radius
 from ssm_study.signals import Ends, Trajectories
-from ssm_study.synthesis.candidates import Candidates
+from ssm_study.synthesis.candidates import GainCandidates
 from ssm_study.synthesis.decay_response import (
     NO_DECAYS,
     largest_settling_time_ratios,
@@ -74,7 +74,7 @@ class ExpectedResponse:
 
     model: Model
     balls: JacobianBalls
-    candidates: Candidates
+    candidates: GainCandidates
     mismatch: Mismatch
     margin: float
     decays: Float[np.ndarray, "N T p"] = field(default_factory=lambda: NO_DECAYS)
@@ -102,7 +102,9 @@ class ExpectedResponse:
         noise_peak = output_peak_from_noise(self.model, gains, self.balls, self.mismatch)
         return noise_peak < 1
 
-    def stable_pairs(self, peak_loop_gains: Float[np.ndarray, "C O"]) -> Int[np.ndarray, "N 2"]:
+    def stable_pair_indices(
+        self, peak_loop_gains: Float[np.ndarray, "C O"]
+    ) -> Int[np.ndarray, "N 2"]:
         """Indices of the controller and observer pairs with a large enough stability margin and a
         controller that is stable by itself."""
         if np.isinf(self.margin):  # no pair has it (and times a peak of zero it is no number)
@@ -128,7 +130,7 @@ class ExpectedResponse:
         expected ones of the passing pairs, and goes on only where none of those is taken (the gains
         of a verified design may differ from its candidate's).
         """
-        pairs = self.stable_pairs(peak_loop_gains)
+        pairs = self.stable_pair_indices(peak_loop_gains)
         if not len(pairs) or not self.mismatch.plant_comes_to_rest:
             return
         gains = self.candidates.gains(pairs)

@@ -26,7 +26,7 @@ from ssm_study.systems import JacobianBalls, StructuredSystem
 OPINION = "another solver's opinion, which decides nothing"
 
 
-def _side_columns(side: str, short_name: str, gain_symbol: str) -> tuple[Column, ...]:
+def _gain_certificate_columns(side: str, short_name: str, gain_symbol: str) -> tuple[Column, ...]:
     """Declarations of the result-table columns that describe either the controller or the
     observer."""
     title = side.capitalize()
@@ -59,8 +59,8 @@ CHOICE_COLUMNS = (
 )
 
 PROOF_COLUMNS = (
-    *_side_columns("controller", "ctl", "K"),
-    *_side_columns("observer", "obs", "L"),
+    *_gain_certificate_columns("controller", "ctl", "K"),
+    *_gain_certificate_columns("observer", "obs", "L"),
     Column("infeasible_reason", "string", word="Why it is infeasible"),
     Column("uncertified_reason", "string", word="Why it is not certified"),
     Column(
@@ -151,7 +151,7 @@ def design_columns(
     facts["certified_tolerance"] = getattr(tolerance, "tolerated_gain", None)
     facts |= input_limit_columns(design, model)
     facts["noise_gain_model"] = noise_gain(model.system, design.gain_pair, balls)
-    facts |= mismatch_columns(mismatch)
+    facts |= model_error_columns(mismatch)
     prediction = predict_margins(model, design.gain_pair, balls, mismatch)
     facts |= vars(prediction)
     facts["predicted_stable"] = prediction.predicts_stability()
@@ -192,7 +192,7 @@ def uncertified_reason(design: Design) -> str:
     return "; ".join(missed)
 
 
-def mismatch_columns(mismatch: Mismatch) -> dict[str, Any]:
+def model_error_columns(mismatch: Mismatch) -> dict[str, Any]:
     """Table columns with the sizes of the model error that the records show."""
     facts: dict[str, Any] = {
         "mismatch_gain": mismatch.gain,

@@ -63,7 +63,7 @@ class LargestCertifiableRate:
             return near[0]
 
         models: list[Any] = [identified.model for identified in near]
-        rates = [self.largest_feedback_rate(model) for model in models]
+        rates = [self.largest_certifiable_feedback_rate(model) for model in models]
         rate_enough = self.rate_enough or 1.0
         models_and_rates = zip(near, rates, strict=True)
         fast_enough = [identified for identified, rate in models_and_rates if rate >= rate_enough]
@@ -72,7 +72,7 @@ class LargestCertifiableRate:
         fastest = np.argmax(rates)
         return near[int(fastest)]
 
-    def largest_feedback_rate(self, model: Any) -> float:
+    def largest_certifiable_feedback_rate(self, model: Any) -> float:
         """Largest contraction rate that can be certified for some state feedback of a model; zero
         if there is none."""
         ball = certified_balls(model).input
@@ -81,8 +81,8 @@ class LargestCertifiableRate:
 
     def has_certificates(self, model: Any) -> bool:
         """Whether some state feedback and some observer for a model can be certified."""
-        rate_of_model = self.largest_feedback_rate(model)
-        return rate_of_model > 0.0 and has_certified_observer(model)
+        rate_of_model = self.largest_certifiable_feedback_rate(model)
+        return rate_of_model > 0.0 and can_certify_observer(model)
 
     def _fit_tolerance(self, model: Any) -> float:
         """Difference in fit, in percentage points, up to which two models count as equally good."""
@@ -91,7 +91,7 @@ class LargestCertifiableRate:
         return self.within_percent
 
 
-def has_certified_observer(model: Any) -> bool:
+def can_certify_observer(model: Any) -> bool:
     """Whether some observer for a model can be certified. With one layer it always can, because its
     modes lie inside the unit circle."""
     system = model.system

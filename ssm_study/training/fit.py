@@ -138,7 +138,7 @@ class InitialStates(nn.Module):
         self.cut = cut
         self.weight = weight
         trained_rows = ("rows", rows)
-        continued_rows = ("later", cut.continuing_windows)
+        continued_rows = ("later", cut.continuing_window_indices)
         for name, places in (trained_rows, continued_rows):
             indices = torch.tensor(places, dtype=torch.int64)
             self.register_buffer(name, indices, persistent=False)
@@ -180,7 +180,7 @@ def roughness_penalty(model: TorchModel, weight: float) -> Float[Tensor, ""]:
     return torch.zeros(())
 
 
-class Fit(pl.LightningModule):
+class TorchFit(pl.LightningModule):
     """Lightning module that trains a torch model and, where they are free, the initial states of
     the training windows. It minimises the training loss over these parameters.
 
@@ -212,7 +212,7 @@ class Fit(pl.LightningModule):
         self.validation_records = TrainingBatch(validation, data, sorts)
         self.whole = (
             TrainingBatch(training, data, sorts)
-            if cut.continuing_windows
+            if cut.continuing_window_indices
             else self.training_records
         )
         self.starts = self._trainable_initial_states(cut)
@@ -229,11 +229,11 @@ class Fit(pl.LightningModule):
         )  # whose stored model estimates it, too (`free_run`)
         problem = "this model has no state to start a window from"
         remedy = "use training.windows.samples=null"
-        able = model.states > 0 or not cut.continuing_windows
+        able = model.states > 0 or not cut.continuing_window_indices
         windows = self.settings.windows
         require(able, "training.windows.samples", windows.samples, problem, remedy)
         moving_rows = cut.first if moving else ()
-        rows = [*moving_rows, *cut.continuing_windows]
+        rows = [*moving_rows, *cut.continuing_window_indices]
         values = window_initial_states(model, self.training_records, cut) if rows else None
         return None if values is None else InitialStates(cut, sorted(rows), values, weight)
 
@@ -268,7 +268,7 @@ class Fit(pl.LightningModule):
         """Simulate all training windows, and compute the differences of state between successive
         windows."""
         x0 = None if self.starts is None else self.starts()
-        if self.starts is None or x0 is None or not self.starts.cut.continuing_windows:
+        if self.starts is None or x0 is None or not self.starts.cut.continuing_window_indices:
             outputs = self.training_records.simulate(self.model, x0)
             no_defects = self.training_records.y.new_zeros(0, 0)
             return outputs, no_defects
@@ -343,7 +343,7 @@ class Fit(pl.LightningModule):
 
     def configure_optimizers(self) -> Any:
         """Build the optimiser that the training settings choose."""
-        return self.settings.optimiser.build(self)
+        return self.settings.optimiser.build_optimiser(self)
 
     def trained_model_with_remark(self) -> tuple[Simulator, str]:
         """Trained model as plain numbers, after a few L-BFGS iterations in float64, with a remark
@@ -380,7 +380,7 @@ def window_initial_states(
     traps the optimiser.
     """
     states = records.u.new_zeros(len(windows.pieces), model.states)
-    for later in windows.continuing_windows:
+    for later in windows.continuing_window_indices:
         window = records.u[later - 1 : later]
         start = states[later - 1 : later]
         advanced = model.simulate_with_final_state(window, start)

@@ -16,7 +16,7 @@ class NoLogger:
     """Setting of a training without a logger for its training curve. Other loggers are Lightning's
     and write below the training's own folder."""
 
-    def build(self, folder: Path) -> "Logger | None":  # noqa: ARG002 - nothing is written
+    def build_logger(self, folder: Path) -> "Logger | None":  # noqa: ARG002 - nothing is written
         """Build the logger of a training curve; None for the setting without a logger."""
         return None
 
@@ -26,7 +26,7 @@ class Csv(NoLogger):
     """Setting that writes the training curve to a CSV file. One row per epoch in
     `csv/metrics.csv`."""
 
-    def build(self, folder: Path) -> "Logger":
+    def build_logger(self, folder: Path) -> "Logger":
         from lightning.pytorch.loggers import CSVLogger
 
         return CSVLogger(folder, name="csv", version="")
@@ -37,7 +37,7 @@ class TensorBoard(NoLogger):
     """Setting that writes the training curve for TensorBoard. Event files in `tensorboard/`; needs
     the extra `tensorboard`."""
 
-    def build(self, folder: Path) -> "Logger":
+    def build_logger(self, folder: Path) -> "Logger":
         from lightning.pytorch.loggers import TensorBoardLogger
 
         try:

@@ -12,7 +12,7 @@ from ssm_study.refusal import require, require_at_least, require_positive
 if TYPE_CHECKING:
     from torch import nn
 
-    from ssm_study.training.fit import Fit
+    from ssm_study.training.fit import TorchFit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,7 @@ class OptimiserSpec(ABC):
         return self.steps_per_epoch
 
     @abstractmethod
-    def build(self, fit: "Fit") -> Any:
+    def build_optimiser(self, fit: "TorchFit") -> Any:
         """Build the optimiser of a training from its settings."""
 
 
@@ -52,7 +52,7 @@ class Lbfgs(OptimiserSpec):
     def calls_per_epoch(self) -> int:
         return 1  # it iterates by itself
 
-    def build(self, fit: "Fit") -> "torch.optim.Optimizer":
+    def build_optimiser(self, fit: "TorchFit") -> "torch.optim.Optimizer":
         """Build the L-BFGS optimiser of a training."""
         sizes: dict[str, Any] = {"max_iter": self.steps_per_epoch, "history_size": self.history}
         search: dict[str, Any] = {
@@ -77,7 +77,7 @@ class Levenberg(OptimiserSpec):
         require_positive("optimiser.damping", self.damping, "use 0.01")
         require_positive("optimiser.longest_step", self.longest_step, "use 0.5")
 
-    def build(self, fit: "Fit") -> "torch.optim.Optimizer":
+    def build_optimiser(self, fit: "TorchFit") -> "torch.optim.Optimizer":
         """Build the Levenberg-Marquardt optimiser of a training."""
         from ssm_study.training.levenberg import LevenbergMarquardt
 
@@ -102,19 +102,19 @@ class Adam(OptimiserSpec):
             is_fraction, "optimiser.final_fraction", final, "must lie in (0, 1]", "use 0.01 or so"
         )
 
-    def build(self, fit: "Fit") -> dict[str, Any]:
+    def build_optimiser(self, fit: "TorchFit") -> dict[str, Any]:
         """Build the Adam optimiser of a training, with a decaying learning rate."""
         parameters = trainable_parameters(fit)
         optimiser = torch.optim.Adam(parameters, lr=self.learning_rate, fused=True)
 
-        def decay_factor(epoch: int) -> float:
+        def learning_rate_factor(epoch: int) -> float:
             """Factor of the learning rate in a given epoch, along half a cosine."""
             along = epoch / fit.settings.max_epochs
             cosine = math.cos(math.pi * along)
             variable_part = (1 - self.final_fraction) * (1 + cosine)
             return self.final_fraction + variable_part / 2
 
-        schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, decay_factor)
+        schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, learning_rate_factor)
         return {"optimizer": optimiser, "lr_scheduler": schedule}
 
 

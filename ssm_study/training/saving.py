@@ -32,7 +32,7 @@ from ssm_study.models.spec import ModelSpec
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import DataSet
-from ssm_study.training.fit import Fit
+from ssm_study.training.fit import TorchFit
 from ssm_study.training.metrics import Identification
 
 if TYPE_CHECKING:
@@ -144,13 +144,13 @@ def train_with_lightning(
 
 def build_lightning_module(
     settings: "Training", spec: ModelSpec, data: DataSet, seed: int
-) -> "Fit | StructuredFit":
+) -> "TorchFit | StructuredFit":
     """Build the Lightning module that trains a model with given settings."""
     if isinstance(spec, StructuredSpec):
         from ssm_study.training import structured_fit  # compiles
 
         return structured_fit.StructuredFit(spec, data, seed)
-    fit = Fit(spec.build(data, seed), data, settings)
+    fit = TorchFit(spec.build(data, seed), data, settings)
     fit.to(torch.float32 if settings.precision == 32 else torch.float64)
     return fit
 
@@ -163,7 +163,7 @@ def run_trainer(
     resume_from: Path | None,
 ) -> None:
     """Run the training of a Lightning module until a callback or the number of epochs ends it."""
-    one: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type] # the records are in Fit
+    one: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type] # the records are in the fit
     with warnings.catch_warnings():
         # Advice on Slurm, workers, loggers: of no use here.
         warnings.filterwarnings("ignore", module="lightning")
@@ -221,7 +221,7 @@ def build_trainer(settings: "Training", callbacks: list[Callback], folder: Path)
     options |= {"callbacks": callbacks, "default_root_dir": folder}
     options["plugins"] = [DurableCheckpointIO()]
     options["max_epochs"] = settings.max_epochs
-    options["logger"] = settings.logger.build(folder) or False  # its own refusals pass
+    options["logger"] = settings.logger.build_logger(folder) or False  # its own refusals pass
     try:
         return pl.Trainer(accelerator=settings.accelerator, **options)
     except (ImportError, MisconfigurationException, RuntimeError, ValueError) as error:

@@ -135,13 +135,13 @@ def fit_best_random_poles(
     order = len(initial["a"])
     candidates = []
     for _ in range(SCREENED):
-        poles = draw_poles(order, rng)
+        poles = draw_state_matrix(order, rng)
         fitted = fit_model_with_poles(problem, initial, poles, estimates_states, rng)
         candidates.append(initial | fitted)
     return min(candidates, key=lambda candidate: regularised_loss(problem, candidate, ()))
 
 
-def draw_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
+def draw_state_matrix(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
     """Draw random real and complex poles with time constants spread evenly on a logarithmic
     scale."""
     blocks: list[np.ndarray] = []

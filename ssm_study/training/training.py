@@ -100,7 +100,7 @@ class Training:
             return self._choose_settings_and_identify(spec, data, session)
         members = getattr(spec, "members", 1)
         if isinstance(spec, StructuredSpec) and spec.neurons == 0:
-            spec = spec.without_neurons()
+            spec = spec.settings_without_neurons()
         requested = getattr(spec, "training_run_count", self.starts)
         trainings = max(requested, members)
         starts = [spec.settings_of_training_run(k) for k in range(trainings)]

@@ -84,7 +84,7 @@ class RecordWindows:
     first: tuple[int, ...]
 
     @property
-    def continuing_windows(self) -> list[int]:
+    def continuing_window_indices(self) -> list[int]:
         """Indices of the training windows that continue an earlier window of the same record."""
         window_count = len(self.pieces)
         all_windows = set(range(window_count))

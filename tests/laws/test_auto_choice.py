@@ -87,7 +87,7 @@ def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_
     """The search looks at few; here is every pair, each predicted by itself on the fine grid."""
     given, balls, record = case()
     auto = replace(SMALL, **FEW) if isinstance(given, StructuredSSM) else SMALL
-    candidates = auto.candidates(given, balls)
+    candidates = auto.compute_candidates(given, balls)
     shown = measure_model_error(given, (record,))
     pairs = np.array([(i, j) for i in range(len(candidates.ks)) for j in range(len(candidates.ls))])
     gains = candidates.gains(pairs)
@@ -117,7 +117,7 @@ def test_gains_at_frozen_slopes_are_taken_where_they_are_proved_for_every_slope(
     """Gains at frozen slopes are those of one layer for the model at rest or half way; a faster
     rate than they have refuses them."""
     stand, balls, _ = with_neurons()
-    candidates = replace(SMALL, **FEW).candidates(stand, balls)
+    candidates = replace(SMALL, **FEW).compute_candidates(stand, balls)
     frozen = [i for i, made in enumerate(candidates.feedback) if made.near[False].logs is None]
     assert frozen
     design = candidates.specification(np.array([frozen[0], 0])).design(stand, balls)
@@ -302,7 +302,7 @@ def test_the_default_grids_are_those_of_the_documentation():
 def test_each_candidate_is_the_gain_of_its_specification():
     integral_weights = (1e-3, 1e-2)
     auto = replace(SMALL, integral_weights=integral_weights)
-    candidates = auto.candidates(motor_model(), BALLS)
+    candidates = auto.compute_candidates(motor_model(), BALLS)
     integral_weights = {made.integral_weight for made in candidates.feedback}
     assert integral_weights == {1e-3, 1e-2}
     last = np.array([len(candidates.ks) - 1, len(candidates.ls) - 1])
@@ -325,7 +325,7 @@ def test_the_grid_of_rates_runs_from_the_models_own_to_the_frontier():
     """Half the model's own rate, then shares of the stretch from there to the limit; absolute ones
     for the observer."""
     model = motor_model()
-    candidates = SMALL.candidates(model, BALLS)
+    candidates = SMALL.compute_candidates(model, BALLS)
     own = 1 - model.linear.spectral_radius**2
     frontier = controller_frontier(model.linear, INPUT_BALL)
     limit = frontier.rate_limit
@@ -348,7 +348,7 @@ def test_an_unstable_model_has_no_cautious_rate():
     a = model.linear.a * 1.05
     linear = replace(model.linear, a=a)
     unstable = model.with_linear_part(linear)
-    candidates = SMALL.candidates(unstable, BALLS)
+    candidates = SMALL.compute_candidates(unstable, BALLS)
     frontier = controller_frontier(unstable.linear, INPUT_BALL)
     limit = frontier.rate_limit
     rate_controllers = {specification.rate_controller for specification in candidates.feedback}

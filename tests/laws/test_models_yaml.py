@@ -76,7 +76,9 @@ def test_frozen_numbers_step_as_the_tensors_do(choice: str) -> None:
         spec = fill_in_defaults(spec)
     if isinstance(spec, SolvedSpec):
         pytest.skip("solved, not trained")
-    net = (spec.without_neurons() if isinstance(spec, StructuredSpec) else spec).build(data, 0)
+    net = (spec.settings_without_neurons() if isinstance(spec, StructuredSpec) else spec).build(
+        data, 0
+    )
     u = data.test[0].u
     with torch.no_grad():
         scaled = net(torch.from_numpy(data.scale.scaled_input(u))[None])[0].numpy()

@@ -11,7 +11,7 @@ from loop_cases import BALLS, motor_model
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis import expected_response
-from ssm_study.synthesis.candidates import Candidates
+from ssm_study.synthesis.candidates import GainCandidates
 from ssm_study.synthesis.decay_response import (
     NO_DECAYS,
     largest_settling_time_ratios,
@@ -32,13 +32,13 @@ PAIRS = np.array(ROWS_OF_PAIRS)
 
 @pytest.fixture
 def response(monkeypatch: pytest.MonkeyPatch) -> ExpectedResponse:
-    monkeypatch.setattr(ExpectedResponse, "stable_pairs", lambda *_: PAIRS)
+    monkeypatch.setattr(ExpectedResponse, "stable_pair_indices", lambda *_: PAIRS)
     monkeypatch.setattr(ExpectedResponse, "loop_gain", lambda _, pair, __: LOOP_GAINS[pair[0]])
     monkeypatch.setattr(ExpectedResponse, "resists_noise", lambda *_: True)
     monkeypatch.setattr(expected_response, "relative_response_areas", lambda *_: AREAS)
     gains: Any = np.zeros((4, 1, 1))
     ls = gains[:1]
-    grid = Candidates(feedback=(), ks=gains, observing=(), ls=ls)
+    grid = GainCandidates(feedback=(), ks=gains, observing=(), ls=ls)
     mismatch = Mismatch(views=())
 
     return ExpectedResponse(

@@ -18,7 +18,7 @@ from test_engine_faults import FailingDisk
 from test_training_identify import LBFGS, spec, training
 
 from ssm_study.training import saving as room
-from ssm_study.training.fit import Fit
+from ssm_study.training.fit import TorchFit
 from ssm_study.training.metrics import records_fit_percent
 from ssm_study.training.optimisers import Adam, OptimiserSpec
 from ssm_study.training.saving import BestModelCheckpoint, DurableCheckpointIO
@@ -68,13 +68,13 @@ def test_a_loss_that_is_not_finite_stops_with_the_last_good_state(
 ) -> None:
     data = data_set(noise=0.05)
     steps = iter(range(10_000))
-    objective = Fit.training_loss
+    objective = TorchFit.training_loss
 
-    def poisoned(self: Fit) -> torch.Tensor:
+    def poisoned(self: TorchFit) -> torch.Tensor:
         loss = objective(self)
         return loss * float("nan") if next(steps) >= 20 else loss
 
-    monkeypatch.setattr(Fit, "training_loss", poisoned)
+    monkeypatch.setattr(TorchFit, "training_loss", poisoned)
     adam = Adam(learning_rate=0.02, steps_per_epoch=5, final_fraction=0.1)
     found = training(adam).identify(spec(), data, 0, tmp_path)
     assert "not finite" in found.ended

@@ -39,7 +39,7 @@ from ssm_study.training.structured_problem import (
 )
 from ssm_study.training.structured_start import (
     LONGEST,
-    draw_poles,
+    draw_state_matrix,
     fit_best_random_poles,
     fit_initial_linear_model,
 )
@@ -388,7 +388,7 @@ def test_lambda_is_balanced_whatever_stands_on_the_diagonal() -> None:
 def testrandom_poles_decay_over_one_to_the_longest_count_of_samples() -> None:
     rng = np.random.default_rng(0)
     for _ in range(200):
-        poles = np.linalg.eigvals(draw_poles(5, rng))
+        poles = np.linalg.eigvals(draw_state_matrix(5, rng))
         samples = -1.0 / np.log(np.abs(poles))
         assert (samples > 1 - 1e-9).all()
         upper_limit = LONGEST * (1 + 1e-9)

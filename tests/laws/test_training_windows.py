@@ -17,7 +17,7 @@ from ssm_study.models.scaffolds.monotone import Monotone
 from ssm_study.models.spec import ModelSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet, Trajectory
-from ssm_study.training.fit import Fit, TrainingBatch
+from ssm_study.training.fit import TorchFit, TrainingBatch
 from ssm_study.training.metrics import records_fit_percent
 from ssm_study.training.optimisers import Levenberg, OptimiserSpec
 from ssm_study.training.windows import Windows
@@ -44,13 +44,15 @@ def unequal(samples: int = 100) -> DataSet:
     return dataclasses.replace(data, training=(first, short))
 
 
-def fit_of(model: ModelSpec, data: DataSet, windows: Windows | None = None, **settings: Any) -> Fit:
+def fit_of(
+    model: ModelSpec, data: DataSet, windows: Windows | None = None, **settings: Any
+) -> TorchFit:
     settings_of_windows = {"windows": windows or Windows(), **settings}
     model_to_train = model.build(data, 0)
-    return Fit(model_to_train, data, training(**settings_of_windows))
+    return TorchFit(model_to_train, data, training(**settings_of_windows))
 
 
-def step_of(fit: Fit) -> tuple[Tensor, dict[str, Tensor]]:
+def step_of(fit: TorchFit) -> tuple[Tensor, dict[str, Tensor]]:
     """The objective, and its gradient by the names of the model's parameters."""
     loss = fit.training_loss()
     loss.backward()
@@ -144,7 +146,9 @@ def move_parameters(parameters: list[Tensor], direction: list[Tensor], distance:
         parameter += distance * along
 
 
-def loss_at(fit: Fit, parameters: list[Tensor], direction: list[Tensor], distance: float) -> float:
+def loss_at(
+    fit: TorchFit, parameters: list[Tensor], direction: list[Tensor], distance: float
+) -> float:
     """The training loss at a distance along a direction; the parameters come back."""
     move_parameters(parameters, direction, distance)
     loss = fit.training_loss()

@@ -163,7 +163,7 @@ def test_the_design_grid_reports_each_designs_own_margin(monkeypatch):
     assert len(rows) == 7
     initial_conditions = {row["initial_conditions"] for row in rows}
     assert initial_conditions == {3}
-    candidates = SMALL.candidates(motor_model(), BALLS)
+    candidates = SMALL.compute_candidates(motor_model(), BALLS)
     shown = measure_model_error(motor_model(), (motor_record(),))
     margins = [
         predict_margins(motor_model(), Gains(k=k, l=l_), BALLS, shown).mismatch_margin

@@ -11,7 +11,7 @@ import pytest
 import ssm_study as st
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.limited_input import (
-    ball_behind_saturation,
+    ball_of_saturated_map,
     certify_under_limits,
 )
 from ssm_study.loop.certified_bound import count_bound_violations
@@ -136,7 +136,7 @@ def test_everywhere_is_no_faster_than_the_open_loop_and_holds_for_changing_slope
 def test_the_ball_of_limited_inputs_holds_every_cut_jacobian_also_of_inputs_that_meet() -> None:
     rng = np.random.default_rng(0)
     ball = JacobianBall(alpha=-1.0, beta=0.5)
-    wide = ball_behind_saturation(ball, input_count=2)
+    wide = ball_of_saturated_map(ball, input_count=2)
     worst = 0.0
     for _ in range(2000):
         white_noise = rng.standard_normal((2, 2))
@@ -149,7 +149,7 @@ def test_the_ball_of_limited_inputs_holds_every_cut_jacobian_also_of_inputs_that
         norm = float(np.linalg.norm(cut - centre, 2))
         worst = max(worst, norm)
     assert 0.9 * wide.beta < worst <= wide.beta * (1 + 1e-12)
-    single = ball_behind_saturation(ball, input_count=1)
+    single = ball_of_saturated_map(ball, input_count=1)
     assert single.lower <= ball.lower < ball.upper < 0 == single.upper
 
 

@@ -18,7 +18,7 @@ from ssm_study.study.design_claims import check_stored_initial_states
 from ssm_study.synthesis.deployed import (
     certify_under_input_limits,
     equilibrium_corners,
-    output_range,
+    initial_output_range,
     prove_within_input_limits,
     scaled_equilibrium_states,
 )
@@ -142,7 +142,7 @@ def test_no_limit_acts_from_any_corner_of_the_box_also_where_the_outputs_are_mix
     parts = [design.state_feedback]
     old = certify_unlimited_start(parts, mapped, limits)
     assert old is not None
-    output_box = output_range(model, old.starts)
+    output_box = initial_output_range(model, old.starts)
     signs = np.array([1.0, -1.0])
     bounding = output_box[1] * signs
     request_outside = largest_request(model, design, bounding)

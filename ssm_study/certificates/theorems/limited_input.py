@@ -55,10 +55,10 @@ class LimitedFeedback(StateFeedbackOfBall):
     @classmethod
     def required_ball(cls, context: VerificationContext) -> JacobianBall:
         """Ball of Jacobians of the input's saturation followed by the model's static input map."""
-        return ball_behind_saturation(context.balls.input, context.controlled.b.shape[1])
+        return ball_of_saturated_map(context.balls.input, context.controlled.b.shape[1])
 
 
-def ball_behind_saturation(ball: JacobianBall, input_count: int) -> JacobianBall:
+def ball_of_saturated_map(ball: JacobianBall, input_count: int) -> JacobianBall:
     """Ball of Jacobians of a saturation followed by a static input map. It contains zero and the
     ball of `S_u`; its radius is rounded up."""
     size = abs(ball.alpha)
@@ -75,7 +75,7 @@ def certify_under_limits(unlimited_certificate: StateFeedbackOfBall) -> LimitedF
     state; None where no rate is proved. The rate is near the largest one with limits."""
     ball = JacobianBall(alpha=unlimited_certificate.alpha, beta=unlimited_certificate.beta)
     inputs = unlimited_certificate.b.shape[1]
-    limited_ball = ball_behind_saturation(ball, inputs)
+    limited_ball = ball_of_saturated_map(ball, inputs)
     limit = contraction_frontier(unlimited_certificate.a, unlimited_certificate.b, limited_ball)
     rates = {"rate": LEAST, "rate_limit": limit.rate_limit}
     slow_certificate = LimitedFeedback(**(vars(unlimited_certificate) | vars(limited_ball) | rates))

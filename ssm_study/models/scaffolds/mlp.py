@@ -61,8 +61,8 @@ class MlpScaffold(Scaffold, names=("mlp",)):
         return MlpScaffold(network=network)
 
     def as_portable(self) -> PortableMap:
-        output_count = self.network.outputs
-        input_count = self.network.inputs
+        output_count = self.network.output_count
+        input_count = self.network.input_count
         linear = np.zeros((output_count, input_count))
         return PortableMap(linear=linear, network=self.network)
 

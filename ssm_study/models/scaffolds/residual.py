@@ -34,9 +34,9 @@ class ResidualScaffold(Scaffold, names=("residual",)):
     network: Network
 
     def __post_init__(self) -> None:
-        outputs = self.network.outputs
+        outputs = self.network.output_count
         problem = "as many outputs as inputs are needed"
-        input_count = self.network.inputs
+        input_count = self.network.input_count
         require(input_count == outputs, "weights", outputs, problem, "use kind mlp")
         remedy = "write model.json again"
         require_at_least(0, "beta", self.beta, remedy)
@@ -52,7 +52,7 @@ class ResidualScaffold(Scaffold, names=("residual",)):
         return linear_part + residual_part
 
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Square:
-        identity = np.eye(self.network.inputs)
+        identity = np.eye(self.network.input_count)
         residual_slope = self.network.jacobian(v)
         return self.alpha * identity + self.beta * residual_slope
 
@@ -72,7 +72,7 @@ class ResidualScaffold(Scaffold, names=("residual",)):
         *inner, last = self.network.weights
         scaled_last = self.beta * last
         network = replace(self.network, weights=(*inner, scaled_last))
-        linear = self.alpha * np.eye(network.inputs)
+        linear = self.alpha * np.eye(network.input_count)
         return PortableMap(linear=linear, network=network)
 
 
