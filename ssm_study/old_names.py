@@ -168,12 +168,15 @@ METHODS: Mapping[str, Mapping[str, str]] = {
     "models.scaffolds.scaffold.Scaffold": {
         "after": "compose_with_output_matrix",
         "before": "compose_with_input_matrix",
+        "bound": "slope_bound",
         "centre": "jacobian_centre",
         "portable": "as_portable",
     },
     "models.scaffolds.trainable.Trainable": {
         "explicit": "explicit_parameters",
-        "frozen": "freeze",
+        "freeze": "to_numpy",
+        "frozen": "to_numpy",
+        "pieces": "affine_pieces",
         "start": "initial_values",
     },
     "engine.stages.Stages": {
@@ -189,6 +192,8 @@ METHODS: Mapping[str, Mapping[str, str]] = {
         "seen": "largest_recorded_gain",
     },
     "synthesis.design.Synthesis": {"attempts": "solution_attempts"},
+    "training.loggers.NoLogger": {"build": "build_logger"},
+    "training.optimisers.OptimiserSpec": {"build": "build_optimiser"},
     "engine.task.Task": {
         "asked": "command_line_columns",
         "check": "build_request",
@@ -197,7 +202,9 @@ METHODS: Mapping[str, Mapping[str, str]] = {
         "refuse": "refuse_configuration",
         "warm": "preload_modules",
     },
+    "loop.peers.peer.Peer": {"build": "build_controller"},
     "models.identified.SSM": {"with_linear": "with_linear_part"},
+    "models.torch_ssm.TorchModel": {"advance": "simulate_with_final_state", "freeze": "to_numpy"},
     "plants.plant.Plant": {"pushed_by": "disturbance_effect", "states_at": "equilibrium_states"},
     "plants.wrapper.Wrapper": {
         "applied": "applied_input",

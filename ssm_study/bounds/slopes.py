@@ -179,7 +179,7 @@ def jacobian_ball(scaffold: Any) -> SlopeBound:
     shape = (scaffold.outputs, scaffold.inputs)
     problem = "the theorems need a square scaffolding"
     require(shape[0] == shape[1], "scaffold", shape, problem, "use a square scaffolding")
-    return scaffold.bound()
+    return scaffold.slope_bound()
 
 
 def certified_balls(model: Any) -> JacobianBalls:

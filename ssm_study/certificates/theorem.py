@@ -1,5 +1,5 @@
-"""Base classes of theorems, which store a certificate, decide it in exact arithmetic, read it back
-and verify it.
+"""Base classes of theorems: how certificates are stored, decided in exact arithmetic, read back and
+verified.
 
 A theorem is one file in `theorems/` with one final class: its fields are what `certificate.json`
 stores, its `conditions` block matrices, stated once with `+, -, *, @, .T`; in which numbers

@@ -394,7 +394,7 @@ def _ball_of_rounded_slopes(static_map: PortableMap) -> JacobianBall | None:
     try:
         if static_map.network is None:
             linear_scaffold = LinearScaffold(gain=static_map.linear)
-            return linear_scaffold.bound().ball
+            return linear_scaffold.slope_bound().ball
         return network_slope_bound(static_map.as_network()).ball
     except BadRequest:
         return None

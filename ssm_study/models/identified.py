@@ -25,8 +25,8 @@ MappedInput = Float[np.ndarray, "*batch mbar"]
 
 
 class Simulator(Family, JsonDataclass):
-    """Interface of identified models, which are plain numbers that can be simulated and stored.
-    `names` are their kinds."""
+    """Interface of identified models, which can be simulated and stored without torch. `names` are
+    their kinds."""
 
     @abstractmethod
     def simulate(self, u: Inputs) -> Outputs:

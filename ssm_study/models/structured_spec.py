@@ -149,7 +149,7 @@ class TrainablePiecewiseMap:
     def evaluate(self, theta: Free, v: Signals) -> Signals:
         """Values of a piecewise-linear map at given inputs, with untrained channels returned
         unchanged."""
-        trained_map = self.freeze(theta)
+        trained_map = self.to_numpy(theta)
         mapped = trained_map(v[..., : self.channels])
         if not self.passed:
             return mapped
@@ -157,8 +157,9 @@ class TrainablePiecewiseMap:
         all_channels = [mapped, unchanged]
         return np.concatenate(all_channels, axis=-1)
 
-    def freeze(self, theta: Free) -> Scaffold:
-        """Convert a trained piecewise-linear map to plain numbers."""
+    def to_numpy(self, theta: Free) -> Scaffold:
+        """Copy of a trained piecewise-linear map with fixed parameters, as the stored model
+        contains it."""
         if not self.knots:
             return LinearScaffold.identity(self.channels)
         slopes, _, points = self._slopes_and_points(theta)

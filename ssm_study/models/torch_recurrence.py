@@ -307,7 +307,7 @@ def simulate_in_blocks(modes: ModalForm, u: Input, x0: Modal | None = None) -> O
 
 
 def power_tables(decay: Complex[Tensor, "n"], samples: int) -> Tables:
-    """Two tables of powers of the eigenvalues, which multiplied give all powers up to a number of
+    """Two tables of powers of the eigenvalues, whose products are all powers up to a number of
     samples. `F_ri = lambda_i^r` and `C_qi = lambda_i^(s q)`, so that `lambda^k = C_q F_r` with `k =
     q s + r`.
 

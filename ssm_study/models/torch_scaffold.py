@@ -14,7 +14,7 @@ Pieces = tuple[Tensor, Tensor, Tensor]
 class TorchScaffold(nn.Module):
     """Trainable static map as a torch module.
 
-    `spec` is that `Trainable`; `freeze()` returns the explicit parameters.
+    `spec` is that `Trainable`; `to_numpy()` returns the explicit parameters.
     """
 
     def __init__(
@@ -40,15 +40,15 @@ class TorchScaffold(nn.Module):
         explicit = self.explicit_parameters()
         return self.spec.evaluate(explicit, v)
 
-    def freeze(self) -> Any:
-        """Convert a trained static map from torch to plain numbers."""
+    def to_numpy(self) -> Any:
+        """Copy of a trained static map with NumPy arrays as parameters, independent of torch."""
         explicit = self.explicit_parameters()
-        return self.spec.freeze(explicit, self.slopes)
+        return self.spec.to_numpy(explicit, self.slopes)
 
-    def pieces(self) -> Pieces | None:
+    def affine_pieces(self) -> Pieces | None:
         """Affine pieces of a trainable static map, if it is piecewise linear with one channel."""
         explicit = self.explicit_parameters()
-        return self.spec.pieces(explicit)
+        return self.spec.affine_pieces(explicit)
 
     def roughness(self) -> Float[Tensor, ""]:
         """Total variation of a trainable static map's slope, used in a training penalty."""

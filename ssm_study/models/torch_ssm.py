@@ -61,7 +61,7 @@ class InputMapping(nn.Module):
         """Apply a trainable static input map to the fixed records."""
         if self.levels:
             return scaffold(self.values)[self.where]
-        pieces = scaffold.pieces() if self.sorts else None
+        pieces = scaffold.affine_pieces() if self.sorts else None
         if pieces is None:
             return scaffold(self.u)
         points, slopes, offsets = pieces
@@ -313,8 +313,9 @@ class TorchModel(nn.Module, ABC):
         """Simulate a trainable model, and return its output and its final state."""
 
     @abstractmethod
-    def freeze(self, data: DataSet) -> Simulator:
-        """Convert a trained torch model to plain numbers, with its signal scales."""
+    def to_numpy(self, data: DataSet) -> Simulator:
+        """Copy of a trained torch model with NumPy arrays as parameters and with the signal scales,
+        independent of torch."""
 
 
 class TorchSSM(TorchModel):
@@ -364,7 +365,7 @@ class TorchSSM(TorchModel):
         linear_output = simulate_modal_form(modes, lifted, modal)
         return self.scaffold_out(linear_output), end
 
-    def freeze(self, data: DataSet) -> SSM:
+    def to_numpy(self, data: DataSet) -> SSM:
         system = self.lru.to_state_space()
         driven_inputs = system.b.shape[1]
         m = driven_inputs - self.lru.disturbances
@@ -373,8 +374,8 @@ class TorchSSM(TorchModel):
         linear = StateSpace(a=system.a, b=mapped_columns, c=system.c, d=feedthrough_columns)
         disturbance_count = self.lru.disturbances
         paths = {"b_d": system.b[:, m:]} if disturbance_count else {}
-        inward = self.scaffold_in.freeze()
-        outward = self.scaffold_out.freeze()
+        inward = self.scaffold_in.to_numpy()
+        outward = self.scaffold_out.to_numpy()
         return SSM(
             linear=linear,
             scaffold_in=inward,

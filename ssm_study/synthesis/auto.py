@@ -280,8 +280,9 @@ class Auto:
 
 @dataclass(kw_only=True)
 class CertifiedDesigns:
-    """Certified designs from candidate gains sorted by expected response, each certified only when
-    needed. Once one is faster than the open loop, slower ones are left out."""
+    """Certified designs from candidate gains, sorted by the expected area under their response on
+    the plant, each certified only when needed. Once one is faster than the open loop, slower ones
+    are left out."""
 
     response: ExpectedResponse
     has_faster: bool = False

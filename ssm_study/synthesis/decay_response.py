@@ -1,4 +1,5 @@
-"""Response of a closed loop from the initial states of recorded decays, compared with these decays.
+"""Response of a closed loop from the initial states of recorded decays (records without control),
+compared with these decays.
 
 A decay is a record at rest input that starts away from rest. Its output is what the plant does
 without control; to it is added what the model answers to the loop's input from rest:
@@ -30,8 +31,8 @@ BANDS = (1.0, 2.0)  # bands of settling in which a response is judged
 def simulate_decays(
     model: Model, recorded_trials: Trajectories, validation: Trajectories
 ) -> Decays:
-    """Noise-free, scaled decays of the model without control, simulated from the initial states of
-    recorded decays.
+    """Free responses of the model, noise-free and in scaled units, simulated from the initial
+    states of the recorded decays (records without control).
 
     Decays at rest input count that start beyond the band of settling and that the model follows;
     none with measured disturbances, which push an output without a start.

@@ -123,8 +123,8 @@ class ExpectedResponse:
         validation: Trajectories,
         input_limits: Ends | None,
     ) -> Iterator[RankedPair]:
-        """Pairs of controller and observer that pass all tests, sorted by expected response, those
-        faster than the open loop first.
+        """Pairs of controller and observer that pass all tests, sorted by the expected area under
+        their response, those faster than the open loop first.
 
         An expected area is never below the area, so the search ends where the areas exceed the
         expected ones of the passing pairs, and goes on only where none of those is taken (the gains

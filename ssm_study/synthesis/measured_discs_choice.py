@@ -98,8 +98,8 @@ def choose_covering_design(
 
 
 def usual_overestimation_factor(model: Model) -> float:
-    """Usual upper bound on the ratio of the coverage computed frequency by frequency to the
-    coverage that is then proved."""
+    """Factor by which the coverage (ratio of tolerated to recorded model error) computed frequency
+    by frequency usually exceeds the proved one at most."""
     return LOST_WITH_NEURONS if isinstance(model.system, StructuredSystem) else LOST
 
 
@@ -124,7 +124,8 @@ class GainPairSearch:
     unseen: Design | None = None
 
     def first_design(self) -> Design | None:
-        """First certified design in a search through gain pairs, sorted by expected response."""
+        """Certified design with the best expected response on the plant, the first in a search
+        through gain pairs."""
         for place, pair in self.pairs:
             design = self.make(pair)
             if design is not None:

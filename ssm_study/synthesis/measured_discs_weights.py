@@ -1,4 +1,5 @@
-"""Weights of the measured disc as cosine polynomials over fixed poles, and their optimisation.
+"""Frequency weights of a disc of model errors, as cosine polynomials over fixed poles, and their
+optimisation.
 
 `WeightProgram` gives the largest kappa with its weights and multipliers, and widens the weights
 where the loop does not mind. Source: docs/theory.md, "Measured discs".
@@ -332,8 +333,8 @@ class WeightProgram:
         return rows, bounds, bands
 
     def weights_from_unknowns(self, squared_radius: float, unknowns: Unknowns) -> DiscWeights:
-        """Weighting filters of the disc from the solution of the convex program. Raises
-        `NoSolution`."""
+        """Weighting filters of a disc of model errors, from the solution of the convex program.
+        Raises `NoSolution`."""
         size = self.basis.order + 1
         x = unknowns[:size] / squared_radius
         y = unknowns[size : 2 * size] / squared_radius

@@ -37,8 +37,8 @@ def reported_coverage(design: Design, model: Model, premise: ModelErrorSpectra) 
 
 
 def withhold_coverage(columns: dict[str, Any], model: Model, gains: Gains) -> dict[str, Any]:
-    """Replace a run's coverage column by a reason if the controller hardly acts or is unstable by
-    itself."""
+    """Replace a run's coverage (ratio of proved to recorded model error) by a reason not to report
+    it, if the controller hardly acts or is unstable by itself."""
     coverage = columns.get("coverage")
     if coverage is None or coverage < 1:
         return columns

@@ -90,7 +90,7 @@ class TrainingBatch(nn.Module):
 
     def _mapped_inputs(self, model: TorchModel) -> dict[str, Signals]:
         """Training inputs after a model's static input map, computed once for all windows; empty
-        for other model types."""
+        for models without such a map."""
         if not isinstance(model, TorchSSM):
             return {}
         mapped_inputs = self.lift(model.scaffold_in)
@@ -333,7 +333,7 @@ class TorchFit(pl.LightningModule):
             record_count = len(records)
             state_count = self.model.states
             return like.new_full((record_count, state_count), torch.nan)
-        stored = self.model.freeze(self.data)
+        stored = self.model.to_numpy(self.data)
         states = [
             estimate_initial_state(stored, record, self.data.start_up_samples) for record in records
         ]
@@ -346,9 +346,9 @@ class TorchFit(pl.LightningModule):
         return self.settings.optimiser.build_optimiser(self)
 
     def trained_model_with_remark(self) -> tuple[Simulator, str]:
-        """Trained model as plain numbers, after a few L-BFGS iterations in float64, with a remark
-        on the conversion. Rounding to float32 is removed by a few L-BFGS iterations in float64, if
-        they end finite and lower."""
+        """Trained model with NumPy arrays as parameters, after a few L-BFGS iterations in float64,
+        with a remark on the conversion. Rounding to float32 is removed by a few L-BFGS iterations
+        in float64, if they end finite and lower."""
         training_outputs = self.training_records.y
         single = training_outputs.dtype == torch.float32
         self.to("cpu", torch.float64)
@@ -365,7 +365,7 @@ class TorchFit(pl.LightningModule):
             optimiser.step(self._loss_and_gradient)
             if not float(self._loss_and_gradient()) <= first:  # also where it is NaN
                 self.load_state_dict(before)
-        frozen_model = self.model.freeze(self.data)
+        frozen_model = self.model.to_numpy(self.data)
         return frozen_model, ""
 
 

@@ -144,8 +144,8 @@ class StructuredFit(pl.LightningModule):
         return DescentState(theta=theta, loss=float(self.loss), damping=float(self.damping))
 
     def _train_without_gain_penalty(self, start: Theta) -> Theta:
-        """Parameters after some training steps without the penalty on the gain's sign. With the
-        penalty from the beginning, the training would end in far worse local minima."""
+        """Parameters after some training steps without the penalty on the sign of the model's gain.
+        With the penalty from the beginning, the training would end in far worse local minima."""
         free = replace(self.problem, gain_share=0.0)
         descent = minimise_simulation_error(free, start, self._trained_blocks, UNPENALISED)
         return descent.theta
@@ -267,8 +267,8 @@ class StructuredFit(pl.LightningModule):
         """Return no optimiser: a training step uses the Jacobian instead of a gradient."""
 
     def as_model(self) -> StructuredSSM:
-        """Convert the trained structured model to plain numbers. The running sum of
-        `integrating_output` is one more state per output."""
+        """Identified structured model with the current parameters of the training. The running sum
+        of `integrating_output` is one more state per output."""
         theta = self.parameter_blocks
         matrices = self.problem.matrices(theta)
         parts: dict[str, Any] = matrices._asdict()
@@ -278,8 +278,8 @@ class StructuredFit(pl.LightningModule):
         if self.data.scale.disturbances:
             scale = self.data.scale
             parts |= split_disturbance_columns(parts, scale.inputs)
-        input_map = self.problem.lift.freeze(theta["scaffold_in"])
-        output_map = self.problem.read.freeze(theta["scaffold_out"])
+        input_map = self.problem.lift.to_numpy(theta["scaffold_in"])
+        output_map = self.problem.read.to_numpy(theta["scaffold_out"])
         return StructuredSSM(
             **parts,
             neurons=self.spec.neuron_kinds,

@@ -92,7 +92,7 @@ class SimulationProblem:
             _, begun = self.initial_conditions(theta)
             sums = running_sum(ybar)
             return begun[:, None, :] + sums
-        output_map = self.read.freeze(theta["scaffold_out"])
+        output_map = self.read.to_numpy(theta["scaffold_out"])
         return output_map(ybar)
 
     def weighted_error(self, theta: Theta) -> Float[np.ndarray, "R"]:

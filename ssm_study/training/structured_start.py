@@ -142,8 +142,8 @@ def fit_best_random_poles(
 
 
 def draw_state_matrix(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
-    """Draw random real and complex poles with time constants spread evenly on a logarithmic
-    scale."""
+    """Draw a state matrix with random real and complex poles, whose time constants are spread
+    evenly on a logarithmic scale."""
     blocks: list[np.ndarray] = []
     while (left := order - sum(map(len, blocks))) > 0:
         longest = np.log(LONGEST)
@@ -191,7 +191,7 @@ def fit_model_with_poles(
     b = b / size[:, None]
 
     # All slopes of S_y are equal here.
-    output_map = problem.read.freeze(initial["scaffold_out"])
+    output_map = problem.read.to_numpy(initial["scaffold_out"])
     output_slope = output_map(np.ones_like(outputs))
     y = outputs / output_slope
     sample_count = outputs.shape[1]

@@ -144,8 +144,8 @@ class Training:
     def _identify_with_chosen_settings(
         self, choice: "SettingsChoice", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Identify a model with chosen settings, and train it on the validation records, too, if
-        cross-validation chose them."""
+        """Identify a model with chosen settings; if cross-validation chose the settings, also train
+        it on the validation records."""
         from ssm_study.training.choice import REFIT_WORDS
         from ssm_study.training.folds import join_training_and_validation
         from ssm_study.training.metrics import records_fit_percent

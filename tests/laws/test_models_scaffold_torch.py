@@ -83,7 +83,7 @@ def test_roughness_is_the_variation_of_the_slope_over_its_largest(name: str, see
     """The roughness is checked by differences of the map between its kinks; at each kink at most a
     hundredth is rounded off."""
     scaffold = shaken(SPECS[name], seed, 1)
-    pieces = scaffold.pieces()
+    pieces = scaffold.affine_pieces()
     assert pieces is not None
     first_kinks = pieces[0].detach().numpy()
     all_kinks = first_kinks.ravel()
@@ -130,7 +130,7 @@ def test_frozen_numbers_give_the_same_values(name: str, seed: int, channels: int
         inputs = torch.from_numpy(v)
         outputs = scaffold(inputs)
         actual = outputs.numpy()
-        expected = scaffold.freeze()(v)
+        expected = scaffold.to_numpy()(v)
         np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-11)
 
 
@@ -188,7 +188,7 @@ def test_zero_maps_to_zero_exactly(name: str, seed: int, channels: int) -> None:
 @given(seed=SEEDS, channels=CHANNELS)
 def test_sampled_jacobians_lie_in_the_certified_ball(name: str, seed: int, channels: int) -> None:
     torch_scaffold = shaken(SPECS[name], seed, channels)
-    frozen = torch_scaffold.freeze()
+    frozen = torch_scaffold.to_numpy()
     alpha = (UPPER + LOWER) / 2
     beta = (UPPER - LOWER) / 2
     rng = np.random.default_rng(seed)
@@ -207,7 +207,7 @@ def test_every_kind_answers_every_question(name: str, seed: int, channels: int) 
     """JSON keeps every bit; the Jacobian is the derivative and lies in the ball; what is exported
     is the same map."""
     torch_scaffold = shaken(SPECS[name], seed, channels)
-    scaffold = torch_scaffold.freeze()
+    scaffold = torch_scaffold.to_numpy()
     rng = np.random.default_rng(seed)
     normal = rng.normal(size=(8, channels))
     v = 3 * normal
@@ -248,7 +248,7 @@ NO_PERCEPTRONS = [name for name in SPECS if "mlp" not in name]
 @pytest.mark.parametrize("name", NO_PERCEPTRONS)
 def test_what_the_linear_part_takes_is_given_up(name: str) -> None:
     torch_scaffold = shaken(SPECS[name], 3, 2)
-    scaffold = torch_scaffold.freeze()
+    scaffold = torch_scaffold.to_numpy()
     rng = np.random.default_rng(0)
     v = rng.normal(size=(9, 2))
     centre = scaffold.jacobian_centre()
@@ -273,7 +273,7 @@ def test_sampled_secants_lie_in_the_certified_sector(seed: int) -> None:
     v = even_points[:, None]
     for name in CERTIFIED:
         torch_scaffold = shaken(SPECS[name], seed, 1)
-        frozen = torch_scaffold.freeze()
+        frozen = torch_scaffold.to_numpy()
         values = frozen(v)[:, 0]
         for stride in (1, 17):
             later = values[stride:]
@@ -296,7 +296,7 @@ def test_the_free_perceptron_leaves_the_sector() -> None:
     cases = itertools.product(range(5), points)
     slopes = []
     for seed, v in cases:
-        scaffold = shaken(SPECS["mlp_free deep"], seed, 1).freeze()
+        scaffold = shaken(SPECS["mlp_free deep"], seed, 1).to_numpy()
         jacobian = scaffold.jacobian(np.array([v]))
         slopes.append(jacobian[0, 0])
     assert min(slopes) < 0

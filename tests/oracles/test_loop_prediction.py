@@ -261,7 +261,7 @@ def test_a_small_swing_does_not_meet_the_slope_at_the_limit(knee, passes):
     slopes = np.array([[0.1, 1.0, 0.1]])
     limit = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
     model = replace(motor_model(), scaffold_in=limit)
-    ball = limit.bound().ball
+    ball = limit.slope_bound().ball
     balls = replace(ONES, input=ball)
     pair = motor_design().gain_pair
     ones = np.ones(len(ANGLES))

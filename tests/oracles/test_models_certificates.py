@@ -58,7 +58,7 @@ def freeze_residual(
     samples = rng.normal(size=(50, channels))
     frame = MapContext(width=width, slopes=slopes, samples=samples)
     residual = Residual(depth=depth)
-    frozen = residual.build(frame, rng).freeze()
+    frozen = residual.build(frame, rng).to_numpy()
     assert isinstance(frozen, ResidualScaffold)
     return frozen
 
@@ -184,7 +184,7 @@ def test_the_perceptron_of_one_channel_can_saturate() -> None:
     jumps = scaffold.jumps_0.data
     jumps[0] = 200.0
     jumps[-1] = -200.0
-    frozen = scaffold.freeze()
+    frozen = scaffold.to_numpy()
     slopes = slopes_at(frozen, (-5.0, 0.0, 5.0))
     expected = [0.1, 1.0, 0.1]
     np.testing.assert_allclose(slopes, expected, atol=1e-9)

@@ -14,7 +14,7 @@ from ssm_study.synthesis.lmi import LmiSynthesis
 class UncontrolledPeer(Peer, names=("uncontrolled",)):
     """Comparison method that leaves the plant without control."""
 
-    def build(self, plant: Plant, identified: Identified, rate: float) -> Uncontrolled:
+    def build_controller(self, plant: Plant, identified: Identified, rate: float) -> Uncontrolled:
         """Control law that always applies the equilibrium input."""
         return Uncontrolled.for_plant(plant)
 
@@ -23,7 +23,7 @@ class PaperLmiPeer(Peer, names=("paper_lmi",)):
     """Comparison method that takes any feasible point of the linear matrix inequalities in the
     paper."""
 
-    def build(self, plant: Plant, identified: Identified, rate: float) -> Design:
+    def build_controller(self, plant: Plant, identified: Identified, rate: float) -> Design:
         """Design from the linear matrix inequalities of the paper's theorems."""
         synthesis = LmiSynthesis(
             rate_controller=rate, rate_observer=rate, objective="feasibility", full=True
@@ -34,7 +34,7 @@ class PaperLmiPeer(Peer, names=("paper_lmi",)):
 class GuaranteedCostPeer(Peer, names=("guaranteed_cost",)):
     """Comparison method that takes the Riccati design with the smallest guaranteed cost."""
 
-    def build(self, plant: Plant, identified: Identified, rate: float) -> Design:
+    def build_controller(self, plant: Plant, identified: Identified, rate: float) -> Design:
         """Design with the smallest guaranteed cost at a given contraction rate."""
         synthesis = RiccatiSynthesis(rate_controller=rate, rate_observer=rate)
         return synthesis.design(identified.model, identified.balls)
@@ -43,7 +43,7 @@ class GuaranteedCostPeer(Peer, names=("guaranteed_cost",)):
 class ChosenPeer(Peer, names=("auto",)):
     """Comparison method that uses this project's automatic design, `synthesis=auto`."""
 
-    def build(self, plant: Plant, identified: Identified, rate: float) -> Design:
+    def build_controller(self, plant: Plant, identified: Identified, rate: float) -> Design:
         """Design that `synthesis=auto` chooses for the identified model."""
         return identified.auto_design(Auto())
 
@@ -51,7 +51,7 @@ class ChosenPeer(Peer, names=("auto",)):
 class ChosenIntegralPeer(Peer, names=("auto_integral",)):
     """Comparison method that uses this project's automatic design with integral action."""
 
-    def build(self, plant: Plant, identified: Identified, rate: float) -> Design:
+    def build_controller(self, plant: Plant, identified: Identified, rate: float) -> Design:
         """Certified design with integral action that the automatic synthesis (`synthesis=auto`)
         chooses for the identified model."""
         integral_weights = (1e-4, 1e-3, 1e-2)

@@ -54,7 +54,9 @@ def _riccati_gain(problem: Problem) -> Float[np.ndarray, "m n"]:
 class LqgPeer(Peer, names=("lqg",)):
     """Comparison method that uses a textbook LQG controller."""
 
-    def build(self, plant: Plant, identified: Identified, rate: float) -> ObserverFeedback:
+    def build_controller(
+        self, plant: Plant, identified: Identified, rate: float
+    ) -> ObserverFeedback:
         """LQG controller for the identified model."""
         weights = lqg_weights(plant, identified, rate)
         return lqg_controller(identified.linear_model, weights)

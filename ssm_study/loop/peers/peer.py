@@ -90,7 +90,9 @@ class Peer(Family):
     names there."""
 
     @abstractmethod
-    def build(self, plant: Plant, identified: Identified, rate: float) -> Controller | Design:
+    def build_controller(
+        self, plant: Plant, identified: Identified, rate: float
+    ) -> Controller | Design:
         """Build the controller that a compared control method gives for a plant, or a design if the
         method certifies its gains.
 
@@ -110,7 +112,7 @@ def build_compared_controller(
     is_certified = False
     try:
         peer = Peer.known[name]()
-        built = peer.build(plant, identified, rate)
+        built = peer.build_controller(plant, identified, rate)
         if isinstance(built, Design):
             controller: Controller = ObserverFeedback.from_design(identified.model, built)
             is_certified = built.certified

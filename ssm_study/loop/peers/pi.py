@@ -178,7 +178,7 @@ def mean_input_slope(model: SSM) -> Float[np.ndarray, "k m"]:
 class PiPeer(Peer, names=("pi",)):
     """Comparison method with a PI controller that is tuned by Tyreus and Luyben's rule."""
 
-    def build(self, plant: Plant, identified: Identified, rate: float) -> PI:
+    def build_controller(self, plant: Plant, identified: Identified, rate: float) -> PI:
         """Build the PI controller of an identified model, tuned by the rule of Tyreus and
         Luyben."""
         return tyreus_luyben_pi(identified.linear_model)

@@ -18,8 +18,9 @@ from ssm_study.signals import DataSet, Scale
 
 @dataclass(frozen=True, kw_only=True)
 class Recurrent(Simulator, names=("gru", "lstm")):
-    """Identified GRU or LSTM model with one layer and a linear output, as plain numbers without
-    torch. It has one layer with a linear output, computed by torch's documented equations."""
+    """Identified GRU or LSTM model with one layer and a linear output, with NumPy arrays as
+    parameters, without torch. It has one layer with a linear output, computed by torch's documented
+    equations."""
 
     kind: str  # type: ignore[misc] # of either cell
     weight_ih: Float[np.ndarray, "g m"]
@@ -88,8 +89,9 @@ class TorchRecurrent(TorchModel):
         end_state = torch.cat(both, -1)
         return outputs, end_state[0]
 
-    def freeze(self, data: DataSet) -> Recurrent:
-        """Convert the trained GRU or LSTM model to plain numbers, with its signal scales."""
+    def to_numpy(self, data: DataSet) -> Recurrent:
+        """Copy of the trained GRU or LSTM model with NumPy arrays as parameters, independent of
+        torch."""
         names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
         weights = {name: tensor_to_numpy(getattr(self.cell, f"{name}_l0")) for name in names}
         read_weight = self.read.weight

@@ -36,7 +36,7 @@ class LinearScaffold(Scaffold, names=("linear",)):
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k m"]:  # noqa: ARG002 - the same everywhere
         return self.gain.copy()
 
-    def bound(self) -> SlopeBound:
+    def slope_bound(self) -> SlopeBound:
         if self.gain.shape == (1, 1):
             scalar_gain = self.gain[0, 0]
             gain = Fraction(float(scalar_gain))
@@ -75,5 +75,5 @@ class Linear(Trainable):
     def evaluate(self, explicit: Tensor, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch m"]:  # noqa: ARG002
         return v
 
-    def freeze(self, explicit: Tensor, slopes: tuple[float, float]) -> LinearScaffold:  # noqa: ARG002
+    def to_numpy(self, explicit: Tensor, slopes: tuple[float, float]) -> LinearScaffold:  # noqa: ARG002
         return LinearScaffold.identity(len(explicit))

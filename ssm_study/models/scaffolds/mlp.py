@@ -40,7 +40,7 @@ class MlpScaffold(Scaffold, names=("mlp",)):
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k m"]:
         return self.network.jacobian(v)
 
-    def bound(self) -> SlopeBound:
+    def slope_bound(self) -> SlopeBound:
         return network_slope_bound(self.network)
 
     def jacobian_centre(self) -> Square:
@@ -158,7 +158,7 @@ class Mlp(Trainable):
             v = v if after is None else v @ after.T
         return v
 
-    def pieces(self, explicit: list[Layer]) -> Pieces | None:
+    def affine_pieces(self, explicit: list[Layer]) -> Pieces | None:
         """Affine pieces of a one-channel perceptron between its break points. `sum_i last_i
         phi_i(first_i v + b_i)`."""
         w, b, low, high, after = explicit[0]
@@ -182,7 +182,7 @@ class Mlp(Trainable):
         piece_offsets = offsets - offsets[home]
         return points, piece_slopes, piece_offsets
 
-    def freeze(self, explicit: list[Layer], slopes: Sector) -> MlpScaffold:  # noqa: ARG002
+    def to_numpy(self, explicit: list[Layer], slopes: Sector) -> MlpScaffold:  # noqa: ARG002
         weights = []
         biases = []
         negative = []
@@ -293,7 +293,7 @@ class OneChannelMlp(Trainable):
             v = scaffold.evaluate_piecewise_linear_map(pieces_of_rows, v)
         return v
 
-    def pieces(self, explicit: list[Pieces]) -> Pieces | None:
+    def affine_pieces(self, explicit: list[Pieces]) -> Pieces | None:
         is_one_layer = self.depth == 1
         return explicit[0] if is_one_layer else None
 
@@ -301,7 +301,7 @@ class OneChannelMlp(Trainable):
         by_layer = [scaffold.relative_roughness(slopes) for _, slopes, _ in explicit]
         return torch.stack(by_layer).sum(0)
 
-    def freeze(self, explicit: list[Pieces], slopes: Sector) -> MlpScaffold:
+    def to_numpy(self, explicit: list[Pieces], slopes: Sector) -> MlpScaffold:
         """Rewrite the trained piecewise-linear map of each layer as a leaky-ReLU network. First
         weights are one, positive slopes `upper`; the last neuron is linear."""
         lower, upper = layer_slope_bounds(*slopes, self.depth, channels=1)

@@ -63,7 +63,7 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
             slopes_at.append(slopes[piece])
         return np.diag(slopes_at)
 
-    def bound(self) -> SlopeBound:
+    def slope_bound(self) -> SlopeBound:
         all_slopes = self.slopes.ravel()
         values = [Fraction(float(slope)) for slope in all_slopes]
         lowest = min(values)
@@ -170,7 +170,7 @@ class Monotone(Trainable):
     def evaluate(self, explicit: Pieces, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch m"]:
         return scaffold.evaluate_piecewise_linear_map(explicit, v)
 
-    def pieces(self, explicit: Pieces) -> Pieces | None:
+    def affine_pieces(self, explicit: Pieces) -> Pieces | None:
         points, inside, offsets = explicit
         if len(points) > 1:
             return None
@@ -180,7 +180,7 @@ class Monotone(Trainable):
         roughness = scaffold.relative_roughness(explicit[1])
         return roughness.sum(-1)
 
-    def freeze(self, explicit: Pieces, slopes: tuple[float, float]) -> MonotoneScaffold:  # noqa: ARG002
+    def to_numpy(self, explicit: Pieces, slopes: tuple[float, float]) -> MonotoneScaffold:  # noqa: ARG002
         points, inside, _ = explicit
         breakpoints = tensor_to_numpy(points)
         slope_values = tensor_to_numpy(inside)

@@ -56,7 +56,7 @@ class ResidualScaffold(Scaffold, names=("residual",)):
         residual_slope = self.network.jacobian(v)
         return self.alpha * identity + self.beta * residual_slope
 
-    def bound(self) -> SlopeBound:
+    def slope_bound(self) -> SlopeBound:
         if not is_proved_nonexpansive(self.network, self.multipliers):
             network = self.as_portable().as_network()
             return network_slope_bound(network)
@@ -145,7 +145,7 @@ class Residual(Trainable):
         network_output = d @ weights[-1].T
         return alpha * v + beta * network_output
 
-    def freeze(self, explicit: "Sandwich", slopes: tuple[float, float]) -> ResidualScaffold:  # noqa: ARG002
+    def to_numpy(self, explicit: "Sandwich", slopes: tuple[float, float]) -> ResidualScaffold:  # noqa: ARG002
         (alpha, beta), weights, biases, psis = explicit
         weight_arrays = tuple(tensor_to_numpy(w) for w in weights)
         bias_arrays = tuple(tensor_to_numpy(b) for b in biases)

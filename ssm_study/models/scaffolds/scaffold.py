@@ -152,14 +152,14 @@ class Scaffold(Family, JsonDataclass):
         right (of the pre-activation)."""
 
     @abstractmethod
-    def bound(self) -> SlopeBound:
+    def slope_bound(self) -> SlopeBound:
         """Ball of matrices that contains every Jacobian of a static map, as a bound on its slopes.
         `alpha I + beta Delta`."""
 
     @abstractmethod
     def jacobian_centre(self) -> Square | None:
-        """Centre of a static map's Jacobians, a matrix that may be moved into the linear part of
-        the model."""
+        """Centre of the ball of a static map's Jacobians, a matrix that the model's linear part can
+        absorb."""
 
     def compose_with_output_matrix(self, m: Square) -> "Scaffold":
         """Composition of a static map with a matrix that multiplies the map's output. `v -> m

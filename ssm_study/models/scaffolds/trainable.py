@@ -49,10 +49,11 @@ class Trainable(ABC):
         """Evaluate a trainable static map at every vector of a batch."""
 
     @abstractmethod
-    def freeze(self, explicit: Any, slopes: tuple[float, float]) -> Scaffold:
-        """Convert a trained static map to plain float64 numbers."""
+    def to_numpy(self, explicit: Any, slopes: tuple[float, float]) -> Scaffold:
+        """Copy of a trained static map with NumPy float64 arrays as parameters, independent of
+        torch."""
 
-    def pieces(self, explicit: Any) -> Pieces | None:  # noqa: ARG002
+    def affine_pieces(self, explicit: Any) -> Pieces | None:  # noqa: ARG002
         """Affine pieces of a piecewise-linear static map with one channel; None for any other
         map."""
         return None
