@@ -19,11 +19,7 @@ from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import DUAL, Neurons, Problem, Solution, dual_system
 from ssm_study.certificates.stored_fields import read_fields
 from ssm_study.certificates.theorem import AGAIN, Blocks, Theorem, VerificationContext, find_theorem
-from ssm_study.certificates.withdrawn_parts import (
-    TOLERANCE,
-    is_withdrawn_certificate,
-    refuse_withdrawn,
-)
+from ssm_study.certificates.withdrawn_parts import TOLERANCE, is_withdrawn, refuse_withdrawn
 from ssm_study.refusal import BadRequest, require
 from ssm_study.systems import Gains, JacobianBall
 
@@ -355,9 +351,7 @@ class Design:
         part, an unknown or missing field, or a malformed matrix."""
         for part in SIDES:
             require(part in content, f"certificate.{part}", None, "is missing", AGAIN)
-        withdrawn = {
-            name: part for name, part in content.items() if is_withdrawn_certificate(name, part)
-        }
+        withdrawn = {name: part for name, part in content.items() if is_withdrawn(name, part)}
         claimed = [name for name in content if name not in withdrawn]
         parts = {name: read_certificate(name, content[name]) for name in claimed}
         sides = {name: parts.pop(name) for name in SIDES}

@@ -12,7 +12,7 @@ WITHDRAWN_PARTS = {"noise": {"noise_gain"}, TOLERANCE: WITHDRAWN_TOLERANCES}
 WITHDRAWN_PARTS["tolerance_by_frequency"] = WITHDRAWN_TOLERANCES
 
 
-def is_withdrawn_certificate(label: str, content: Any) -> bool:
+def is_withdrawn(label: str, content: Any) -> bool:
     """Whether a certificate in `certificate.json` is by a theorem of an earlier version that no
     longer exists."""
     named = content.get("theorem", label) if isinstance(content, dict) else None
