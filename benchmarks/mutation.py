@@ -100,7 +100,9 @@ LINE = "tests/oracles/test_results_verify.py tests/oracles/test_verify_lies.py"
 LINE += " tests/refusals/test_verify_damage.py tests/oracles/test_study_line.py"
 LINE += " tests/oracles/test_study_answers.py"
 SPOKEN_OF = "(verify or claim or tamper or truncated or refuses)"
-CLAIMS = f"{LINE} -k '{SPOKEN_OF} and not at_once and not without_controller'"
+LINE += " tests/oracles/test_verify_omissions.py"
+QUICK = "tests/oracles/test_verify_judgement.py tests/oracles/test_verify_sections.py"
+CLAIMS = f"{QUICK} {LINE} -k '{SPOKEN_OF} and not at_once and not without_controller'"
 GROUPS = {
     "verdict": Group(
         modules=modules_of("synthesis", "design")

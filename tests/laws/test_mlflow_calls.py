@@ -142,7 +142,9 @@ def test_finished_runs_are_written_with_their_times_and_files(
     expected = {"fit_test_percent": 91.5, "controller_certified": 1.0}
     assert first.metrics == expected
     assert first.params["order"] == "8"
-    assert first.params["note"] == "n" * 500
+    expected = "n" * 500
+    actual = first.params["note"]
+    assert actual == expected
     assert first.params.keys().isdisjoint(first.metrics)
     assert "predicted_stable" not in first.params
     assert first.files == ["record.json", "model.json"]

@@ -129,8 +129,10 @@ def test_digits_name_a_run_where_no_other_has_them() -> None:
 def test_a_table_fills_its_width_and_no_more(width: int) -> None:
     rows = [{"status": "ok", "order": k, "seed": 10**k, "hidden_width": 3 * k} for k in range(3)]
     table = table_of(*rows)
-    full = render_table(table, width=1000).splitlines()
-    lines = render_table(table, width=width).splitlines()
+    text = render_table(table, width=1000)
+    full = text.splitlines()
+    text = render_table(table, width=width)
+    lines = text.splitlines()
     heads = lines[0].split()
     assert heads[0] == "run"
     if heads != ["run"]:
@@ -142,7 +144,8 @@ def test_a_table_fills_its_width_and_no_more(width: int) -> None:
 
 def test_texts_stand_left_and_numbers_right() -> None:
     table = table_of({"status": "ok", "order": 4}, {"status": "infeasible", "order": 12})
-    lines = render_table(table).splitlines()
+    text = render_table(table)
+    lines = text.splitlines()
     assert lines == ["run  status      order", "0    ok              4", "1    infeasible     12"]
     aligned = align_columns([["setting", "n"], ["a", "10"]])
     assert aligned == ["setting   n", "a        10"]
@@ -150,7 +153,8 @@ def test_texts_stand_left_and_numbers_right() -> None:
 
 def test_a_column_sorted_by_stands_second() -> None:
     table = table_of({"status": "ok", "seconds": 1.5}, {"status": "ok", "seconds": 2.5})
-    heads = render_table(table, "seconds").splitlines()[0]
+    text = render_table(table, "seconds")
+    heads = text.splitlines()[0]
     expected = ["run", "seconds", "status"]
     assert heads.split() == expected
 
@@ -162,11 +166,13 @@ def test_a_setting_that_tells_no_further_runs_apart_gives_way() -> None:
         for slope in (0.1, None)
     ]
     table = table_of(*[row | {"fit_test_percent": 90.0} for row in rows])
-    wide = render_table(table).splitlines()[0]
+    text = render_table(table)
+    wide = text.splitlines()[0]
     expected = ["run", "status", "order", "width", "mu", "fit", "%"]
     assert wide.split() == expected
     needed = len("run  status  order   mu  fit %") + 2
-    narrow = render_table(table, width=needed).splitlines()[0]
+    text = render_table(table, width=needed)
+    narrow = text.splitlines()[0]
     expected = ["run", "status", "order", "mu", "fit", "%"]
     assert narrow.split() == expected
 

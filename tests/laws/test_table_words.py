@@ -51,9 +51,11 @@ def test_every_column_stands_in_the_part_that_declares_it() -> None:
     actual = {"undeclared", "stage_loop_key", "status"}
     assert actual <= expected
     counts = [len(part) for part in parts.values()]
-    assert sum(counts) == len(names) + 3
+    expected = len(names) + 3
+    assert sum(counts) == expected
     titles = list(parts)
-    assert titles == ["Settings", *PARTS, "Circumstances"]
+    expected = ["Settings", *PARTS, "Circumstances"]
+    assert titles == expected
 
 
 def test_settings_are_the_declared_ones_then_the_others_by_name() -> None:
@@ -129,7 +131,8 @@ def test_a_rate_that_the_program_chose_reads_auto() -> None:
     values = requested_values(table, "order").tolist()
     assert values == expected
     # Without `auto`, the observer's rate is the same in all runs.
-    assert swept_settings(table) == ["rate_controller", "rate_observer"]
+    expected = ["rate_controller", "rate_observer"]
+    assert swept_settings(table) == expected
     actual = swept_settings(table.assign(rates_chosen=""))
     assert actual == ["rate_controller"]
 
@@ -207,7 +210,8 @@ def test_seeds_of_one_model_count_once(tmp_path: Path) -> None:
     actual = doubts_of(tmp_path, model_row("a-1", 0, None), model_row("b-2", 1, None))
     assert actual == []
     other_test = second | {"fit_test_percent": 80.0}
-    assert doubts_of(tmp_path, first, other_test) == []
+    actual = doubts_of(tmp_path, first, other_test)
+    assert actual == []
 
 
 def test_one_run_under_two_names_is_not_two_models(tmp_path: Path) -> None:
@@ -215,7 +219,9 @@ def test_one_run_under_two_names_is_not_two_models(tmp_path: Path) -> None:
     rows = [model_row(name, k, 90.0) for k, name in enumerate(names)]
     sentence = "The same settings stand under several names, so they are one run: "
     four = ", ".join(names[:4])
-    assert doubts_of(tmp_path, *rows) == [f"{sentence}{four} and 2 more."]
+    expected = [f"{sentence}{four} and 2 more."]
+    actual = doubts_of(tmp_path, *rows)
+    assert actual == expected
 
 
 def test_a_table_without_fits_or_seeds_has_no_repeated_models(tmp_path: Path) -> None:
@@ -235,7 +241,8 @@ def write_sweep(study: Path, *words: str) -> None:
 def test_a_damaged_record_of_the_sweep_is_not_missing_as_well(tmp_path: Path) -> None:
     write_sweep(tmp_path, "model.order=4,6,8", "unknown.setting=1,2")
     full: list[dict[str, object]] = [{"run": f"r-{order}", "order": order} for order in (4, 6, 8)]
-    assert doubts_of(tmp_path, *full) == []
+    actual = doubts_of(tmp_path, *full)
+    assert actual == []
     damaged: dict[str, object] = {"run": "r-9", "order": None}
     actual = doubts_of(tmp_path, *full[:2], damaged)
     assert actual == []
@@ -269,7 +276,8 @@ def test_values_of_command_and_table_read_alike() -> None:
 
 @pytest.mark.parametrize(("count", "text"), [(8, "a, b, c, d, e, f, g, h"), (2, "a, b")])
 def test_names_within_the_limit_are_all_listed(count: int, text: str) -> None:
-    assert abbreviate_names("abcdefghij"[:count]) == text
+    actual = abbreviate_names("abcdefghij"[:count])
+    assert actual == text
     assert abbreviate_names("abcdefghij") == "a, b, c, d, e, f, g, h and 2 more"
 
 

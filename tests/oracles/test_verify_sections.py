@@ -1,0 +1,251 @@
+"""Sections of `verify` on a run whose parts are in memory: status, files and what an older record
+lacks."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ssm_study.certificates.certificate import Infeasible
+from ssm_study.engine.records import VERSION
+from ssm_study.signals import DataSet
+from ssm_study.study import claims
+from ssm_study.study.claims import (
+    check_loop_files,
+    check_status,
+    excitation_pairs,
+    label_pairs,
+    split_confirmable_settings,
+)
+from ssm_study.study.design_claims import (
+    COVERAGE_COLUMNS,
+    check_internal_model,
+    check_stored_certificate,
+    columns_of_later_versions,
+    is_coverage_search_repeated,
+    lacks_coverage,
+    stored_number_errors,
+    unrepeated_search_reason,
+)
+from ssm_study.study.findings import DerivedColumns, NotChecked, UnconfirmableSettings
+from ssm_study.study.run_files import RunFiles
+from ssm_study.synthesis.measured_discs_run import UNPROVED
+
+PARTS = SimpleNamespace
+
+
+def run_of(folder: Path = Path("run"), record: Any = None, **parts: Any) -> RunFiles:
+    """Run whose parts are these objects; no file is read."""
+    run = RunFiles(path=folder, record=record or {})
+    vars(run).update(parts)
+    return run
+
+
+def test_settings_that_no_result_confirms_are_repeated_alone() -> None:
+    columns = {"order": 4, "training__max_epochs": 5, "synthesis__full": True}
+    *repeated, derived = split_confirmable_settings(columns)
+    names = [list(part.columns) for part in repeated]
+    expected = [["training__max_epochs"], ["synthesis__full"]]
+    assert names == expected
+    assert derived.columns == {"order": 4}
+    assert all(isinstance(part, UnconfirmableSettings) for part in repeated)
+    count = len({part.reason for part in repeated if isinstance(part, UnconfirmableSettings)})
+    assert count == 2
+
+
+@pytest.mark.parametrize(
+    ("gives_ssm", "feasible", "status"),
+    [(True, True, "ok"), (True, False, "infeasible"), (False, False, "ok")],
+)
+def test_a_design_without_a_side_is_infeasible(
+    gives_ssm: bool, feasible: bool, status: str
+) -> None:
+    specification = PARTS(model=PARTS(gives_ssm=gives_ssm))
+    run = run_of(specification=specification, design=PARTS(feasible=feasible))
+    (derived,) = check_status(run)
+    assert isinstance(derived, DerivedColumns)
+    assert derived.columns == {"status": status}
+
+
+def test_pairs_are_numbered_from_zero() -> None:
+    expected = {"u 0": ("a", "x"), "u 1": ("b", "y")}
+    actual = label_pairs("ab", "xy", "u ")
+    assert actual == expected
+    expected = {"0": ("a", "x")}
+    assert label_pairs("a", "x") == expected
+
+
+def test_measured_disturbances_are_compared_where_both_sides_have_them() -> None:
+    u = np.zeros((3, 1))
+    records = object.__new__(DataSet)
+    vars(records)["training"] = [PARTS(u=u, d=u), PARTS(u=u, d=None)]
+    run = run_of(recorded_training_inputs=[u, u], disturbances=[u])
+    pairs = excitation_pairs(run, records)
+    expected = ["u 0", "u 1", "disturbances", "d 0"]
+    assert list(pairs) == expected
+    run = run_of(recorded_training_inputs=[u, u], disturbances=[u, u])
+    pairs = excitation_pairs(run, records)
+    expected = (2, 1)
+    assert pairs["disturbances"] == expected
+    assert "d 0" not in pairs
+
+
+def loop_run(folder: Path, feasible: bool, comparison: Any = None, plant: Any = True) -> RunFiles:
+    """Run with or without a controller, on a plant or on its model alone."""
+    specification = PARTS(
+        model=PARTS(gives_ssm=True), plant=plant, loop=PARTS(comparison=comparison)
+    )
+    return run_of(folder, specification=specification, design=PARTS(feasible=feasible))
+
+
+def test_recordings_of_a_loop_are_there_exactly_if_one_was_closed(tmp_path: Path) -> None:
+    closed = loop_run(tmp_path, True)
+    absent = [finding.claim for finding in check_loop_files(closed)]
+    assert absent == ["closed_loop.mcap", "closed_loop_model.mcap"]
+    compared = loop_run(tmp_path, True, comparison=("pi",))
+    absent = [finding.claim for finding in check_loop_files(compared)]
+    assert absent == ["closed_loop.mcap", "closed_loop_model.mcap", "comparison.csv"]
+    for name in absent:
+        (tmp_path / name).touch()
+    names = list(check_loop_files(compared))
+    assert names == []
+    open_loop = loop_run(tmp_path, False)
+    findings = list(check_loop_files(open_loop))
+    actual = [finding.claim for finding in findings]
+    assert actual == absent
+    assert not any(finding.holds for finding in findings)
+    actual = {finding.found for finding in findings}
+    assert actual == {"such a run closes no loop"}
+
+
+def test_a_loop_is_closed_on_a_model_without_feedthrough_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for feedthrough in (True, False):
+        monkeypatch.setattr(
+            "ssm_study.study.run_files.has_direct_feedthrough", lambda _, it=feedthrough: it
+        )
+        run = loop_run(Path("run"), True, plant=None)
+        vars(run)["model_run"] = PARTS(model=None)
+        assert run.closes_loop is not feedthrough
+
+
+# Certificates of other versions.
+
+
+def versioned(version: int, feasible: bool = True, sines: bool = True, **record: Any) -> RunFiles:
+    """Run whose record is of this version."""
+    design = PARTS(feasible=feasible, extra_certificates={})
+    body = {"record_version": version, **record}
+    return run_of(record=body, design=design, specification=PARTS(has_sine_trials=sines))
+
+
+OLD = VERSION - 1
+
+
+def test_an_older_record_is_told_what_it_need_not_have() -> None:
+    run = versioned(OLD, coverage=1.0)
+    columns = columns_of_later_versions(run)
+    expected = ["predicted_faster", "sine_margin", "sine_coverage"]
+    assert list(columns) == expected
+    names = set(columns.values())
+    assert names == {f"a record of version {OLD} need not have it"}
+    run = versioned(OLD)
+    uncovered = columns_of_later_versions(run)
+    expected = ["predicted_faster", "sine_margin", *COVERAGE_COLUMNS]
+    assert list(uncovered) == expected
+    run = versioned(OLD, sines=False, coverage=1.0)
+    without_sines = columns_of_later_versions(run)
+    assert list(without_sines) == ["predicted_faster"]
+    run = versioned(OLD, feasible=False)
+    actual = columns_of_later_versions(run)
+    assert actual == {}
+    run = versioned(VERSION)
+    actual = columns_of_later_versions(run)
+    assert actual == {}
+    run = versioned(OLD, coverage=1.0, sine_margin=2.0)
+    stated = columns_of_later_versions(run)
+    expected = ["predicted_faster", "sine_coverage"]
+    assert list(stated) == expected
+
+
+def test_only_an_older_record_without_its_claim_lacks_coverage() -> None:
+    run = versioned(OLD)
+    assert lacks_coverage(run)
+    run = versioned(VERSION)
+    assert not lacks_coverage(run)
+    run = versioned(OLD, coverage=1.0)
+    assert not lacks_coverage(run)
+    run = versioned(OLD, coverage_reason="no")
+    assert not lacks_coverage(run)
+    run = versioned(OLD, coverage_needed=1.0)
+    assert lacks_coverage(run)
+
+
+def test_a_failed_search_that_takes_long_is_not_repeated() -> None:
+    run = versioned(VERSION, coverage_reason=UNPROVED)
+    vars(run)["model_run"] = PARTS(model=None)  # no linear part with a static map on each side
+    assert not is_coverage_search_repeated(run)
+    expected = ["search for a proof of coverage"]
+    names = list(unrepeated_search_reason(run))
+    assert names == expected
+    proved = versioned(VERSION, coverage_reason=None)
+    assert unrepeated_search_reason(proved) == {}
+
+
+def infeasible_side() -> Infeasible:
+    """Side for which no certificate was found."""
+    return Infeasible(
+        theorem="state_feedback",
+        alpha=0.1,
+        beta=1.0,
+        rate=0.1,
+        rate_limit=0.05,
+        proved=False,
+        reason="too fast",
+        method="lmi",
+        solver_status="infeasible",
+        seconds=0.0,
+    )
+
+
+def test_a_stored_side_is_of_the_requested_method() -> None:
+    part = infeasible_side()
+    run = run_of(record={"synthesis_method": "lmi"})
+    verdict = check_stored_certificate(run, "state_feedback", part, ["observer: wrong"])
+    assert verdict.holds
+    assert verdict.claim == "certificate.state_feedback at rate 0.1"
+    assert verdict.found == "exact arithmetic finds it without certificate: too fast"
+    wrong = ["state_feedbacks: no", "state_feedback: margin", "state_feedback is off"]
+    verdict = check_stored_certificate(run, "state_feedback", part, wrong)
+    assert not verdict.holds
+    assert verdict.found == "state_feedback: margin; state_feedback is off"
+    other = run_of(record={"synthesis_method": "riccati"})
+    verdict = check_stored_certificate(other, "state_feedback", part, [])
+    assert verdict.found == "method lmi: another one was requested"
+    assert check_stored_certificate(other, "extra", part, []).holds
+    assert stored_number_errors(part) == []
+
+
+def test_without_a_request_or_a_feedback_no_internal_model_is_checked() -> None:
+    part = infeasible_side()
+    design = PARTS(state_feedback=part)
+    for synthesis in (PARTS(), PARTS(modes=()), PARTS(modes=("step",))):
+        run = run_of(specification=PARTS(synthesis=synthesis), design=design)
+        findings = list(check_internal_model(run))
+        assert findings == []
+
+
+def test_a_log_that_is_gone_names_what_follows_from_it() -> None:
+    specification = PARTS(model=PARTS(gives_ssm=True))
+    record = {"score_test_1": 1.0, "rmse_test": 2.0}
+    run = run_of(record=record, specification=specification, missing_log_reason="gone")
+    (listed,) = claims.check_records(run)
+    assert isinstance(listed, NotChecked)
+    names = set(listed.reasons.values())
+    assert names == {"gone"}
+    expected = {"score_test_1", "fit_train_percent", "evidence", "piece_start", "excitation.mcap"}
+    assert expected <= set(listed.reasons)
+    assert not {"seed", "rmse_test", "fold"} & set(listed.reasons)
