@@ -26,8 +26,8 @@ from benchmarks.aside_plants import ASIDE
 from benchmarks.common import add_table_options, finished_results, keep, rows_of
 from benchmarks.coverage_by_seed import IdentifiedCase
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.loop.design_grid import DesignGrid
-from ssm_study.loop.peers.peer import Identified
+from ssm_study.loop.design_grid import RandomDesignTable
+from ssm_study.loop.peers.peer import IdentificationResult
 from ssm_study.synthesis.candidates import GainCandidates
 from ssm_study.synthesis.measured_discs_choice import LOST, LoopCoverage
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate
@@ -109,8 +109,8 @@ def rows_of_task(task: GridTask) -> list[dict[str, Any]]:
     """The lines of one plant."""
     case = IdentifiedCase.of(task.plant, task.seed, [f"model.order={ORDER}"], fresh=0)
     balls = certified_balls(case.model)
-    known = Identified.from_data_set(case.model, balls, case.data)
-    grid = DesignGrid(designs=task.designs)
+    known = IdentificationResult.from_data_set(case.model, balls, case.data)
+    grid = RandomDesignTable(designs=task.designs)
     candidates = grid.auto.compute_candidates(case.model, balls)
     if candidates is None:
         return []

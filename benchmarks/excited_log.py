@@ -19,10 +19,10 @@ import pandas as pd
 from benchmarks.adversarial.__main__ import plant_of
 from benchmarks.common import study_of
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.data.excitations.user_excitation import OwnPlantRecord
+from ssm_study.data.excitations.user_excitation import IdentificationExperiment
 from ssm_study.data.recorded import RecordedData
-from ssm_study.loop.design_grid import DesignGrid
-from ssm_study.loop.peers.peer import Identified
+from ssm_study.loop.design_grid import RandomDesignTable
+from ssm_study.loop.peers.peer import IdentificationResult
 from ssm_study.plants.plant import Plant
 from ssm_study.robustness.return_to_rest import is_return_to_rest
 from ssm_study.signals import DataSet
@@ -40,7 +40,7 @@ def recorded(plant: Plant, seed: int, folder: Path) -> DataSet:
     settle_s = float(np.clip(HOLDS * plant.input_clock_s, 20.5 * plant.step_s, 80 * plant.step_s))
     middle = float(rest.u[0])
     ends = {"lower": float(rest.u[0]) - reach, "upper": float(rest.u[0]) + reach}
-    u = OwnPlantRecord(
+    u = IdentificationExperiment(
         **ends, rest=middle, step_s=plant.step_s, settle_s=settle_s, seed=seed
     ).signal()
     y = plant.simulate(u[None, :, None])[1][0, :, 0]
@@ -68,10 +68,10 @@ def lines(name: str, seed: int, order: int, designs: int) -> list[dict]:
         ("three", data.mismatch_records),
         ("one", tuple(filter(is_return_to_rest, data.mismatch_records))),
     ):
-        known = Identified.from_data_set(
+        known = IdentificationResult.from_data_set(
             model, certified_balls(model), replace(data, mismatch_records=trials)
         )
-        rows = pd.DataFrame(DesignGrid(designs=designs).rows(plant, known, loop, seed))
+        rows = pd.DataFrame(RandomDesignTable(designs=designs).rows(plant, known, loop, seed))
         settles = rows.stable_count_noise_free == rows.initial_conditions
         drawn = rows.index > 0
         said = rows.predicted_stable.astype(bool)

@@ -17,7 +17,7 @@ from common import study_of
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.regulation import Loop
+from ssm_study.loop.regulation import LoopExperiment
 from ssm_study.synthesis.auto import Auto
 
 
@@ -33,7 +33,7 @@ def main() -> None:
     model = part.reduction.reduce(found.model)
     plant = part.plant
     design = Auto().design(model, certified_balls(model), data.validation)
-    loop = Loop(initial_conditions=asked.cases, horizon_s=asked.samples * plant.step_s)
+    loop = LoopExperiment(initial_conditions=asked.cases, horizon_s=asked.samples * plant.step_s)
     controller, (y0, noise) = (
         ObserverFeedback.from_design(model, design),
         loop.draw_starts_and_noise(plant, 0),

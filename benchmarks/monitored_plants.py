@@ -32,7 +32,7 @@ from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.motion import settling_times_s
 from ssm_study.loop.rollout import Rollouts
 from ssm_study.plants.plant import Plant
-from ssm_study.plants.wrapper import DelayedInput, Wrapper
+from ssm_study.plants.wrapper import DelayedInput, PlantWrapper
 from ssm_study.robustness.coverage import running_constraint_sum
 from ssm_study.synthesis.measured_discs_run import coverage_columns, disc_weights
 
@@ -43,7 +43,7 @@ LONGER = 3  # times the usual horizon: a small swing takes long to exceed the li
 
 
 @dataclass(frozen=True, kw_only=True)
-class StrongerInput(Wrapper):
+class StrongerInput(PlantWrapper):
     """Plant whose input acts `gain` times as strongly as when it was recorded."""
 
     gain: float

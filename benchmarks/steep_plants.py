@@ -43,10 +43,10 @@ class SteepPlant(Adversary):
         moved[:, 1] = (u - x[:, 1]) / self.second_s
         return moved
 
-    def advance(
+    def next_states(
         self, x: States, u: Float[np.ndarray, "N 1"], d: Float[np.ndarray, "N q"]
     ) -> States:
-        moved = super().advance(x, x[:, 4:], d)
+        moved = super().next_states(x, x[:, 4:], d)
         return np.column_stack([moved[:, :2], u[:, 0], x[:, 2:4]])
 
     def equilibrium_states(self, y0: Outputs) -> States:

@@ -25,7 +25,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.cli.main import main
 from ssm_study.engine.records import read_record
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.metrics import pool_columns
+from ssm_study.loop.metrics import pooled_run_columns
 from ssm_study.loop.regulation import LoopRuns
 from ssm_study.plants.wrapper import SaturatedInput
 from ssm_study.study.run_files import RunFiles
@@ -108,7 +108,7 @@ def row(folder: Path, integral: bool) -> dict[str, object]:
     found["beyond_the_limits"] = float(np.maximum(u - high, low - u).clip(0).max())
     found["most_samples_at_a_limit"] = int(((u <= low) | (u >= high)).sum(axis=(1, 2)).max())
     for name, one in (("", told), ("naive_", naive)):
-        columns = pool_columns([one])
+        columns = pooled_run_columns([one])
         for column in (
             "stable_count",
             "settling_time_mean_s",
@@ -149,7 +149,9 @@ def drawn(folder: Path) -> Figure:
     applied = files.plant.inputs[0]
     above.set(ylabel=f"{output.name.replace('_', ' ')} ({output.unit})")
     style.place_legend_above(above)
-    until = 2 * (pool_columns([naive])["settling_time_worst_s"] or told.controlled.time_s[-1] / 2)
+    until = 2 * (
+        pooled_run_columns([naive])["settling_time_worst_s"] or told.controlled.time_s[-1] / 2
+    )
     below.set(ylabel=f"requested ({applied.unit})", xlabel="Time (s)", xlim=(0, until))
     return fig
 

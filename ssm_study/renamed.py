@@ -1,4 +1,4 @@
-"""Names of earlier versions, and what each is called today.
+"""Names from earlier versions, and the current name of each.
 
 Old names are understood where files and arguments are read: in stored configurations, in the words
 of a command, in `import` lines of other people's code, in the methods that their classes override.
@@ -29,8 +29,8 @@ OURS = "ssm_study"
 CHANGELOG = "CHANGELOG.md, version 0.2.0"
 
 
-class OldName(FutureWarning):
-    """Warning that an old name was used, which still works for one version."""
+class OldNameWarning(FutureWarning):
+    """Warning that an old name was used, which is still understood for one version."""
 
 
 # Names
@@ -61,8 +61,8 @@ def current_symbol(module: str, name: str) -> tuple[str, str]:
 
 
 def current_target(target: Any) -> Any:
-    """Current dotted name of the class that a `_target_` names; a value that is no text is returned
-    unchanged."""
+    """Current dotted name of the class that a `_target_` setting names; a value that is no text is
+    returned unchanged."""
     if not isinstance(target, str) or not target.startswith(f"{OURS}."):
         return target
     module, _, name = target.rpartition(".")
@@ -79,7 +79,7 @@ def warn_of_old_name(old: str, new: str) -> None:
     if old not in _WARNED:
         _WARNED.add(old)
         message = f"{old} is now {new}; the old name is read in version 0.2 alone."
-        warnings.warn(message, OldName, stacklevel=3)
+        warnings.warn(message, OldNameWarning, stacklevel=3)
 
 
 _WARNED: set[str] = set()
@@ -198,8 +198,8 @@ def add_renamed_columns(record: Mapping[str, Any]) -> dict[str, Any]:
 # Imports
 
 
-class OldModules(MetaPathFinder):
-    """Import hook that redirects imports of renamed modules and makes renamed functions available
+class OldModuleFinder(MetaPathFinder):
+    """Import hook that redirects imports of renamed modules and makes renamed functions importable
     under their old names."""
 
     def find_spec(
@@ -212,7 +212,7 @@ class OldModules(MetaPathFinder):
             return None
         present = current_module(fullname)
         if present != fullname:
-            return ModuleSpec(fullname, Alias(present), is_package=True)
+            return ModuleSpec(fullname, AliasLoader(present), is_package=True)
         inner = fullname.removeprefix(f"{OURS}.")
         if inner not in _modules_with_renames():
             return None
@@ -221,7 +221,7 @@ class OldModules(MetaPathFinder):
             execute = spec.loader.exec_module
 
             def exec_module(module: ModuleType) -> None:
-                """Run the module's code, then add the old names to the module."""
+                """Run the code of a newly imported module, then add the old names to it."""
                 execute(module)
                 _restore_old_names(module, inner)
 
@@ -232,15 +232,15 @@ class OldModules(MetaPathFinder):
 def _find_module_spec(fullname: str, path: Any) -> ModuleSpec | None:
     """Module specification that the other import hooks find for a module name."""
     for finder in sys.meta_path:
-        if not isinstance(finder, OldModules):
+        if not isinstance(finder, OldModuleFinder):
             spec = finder.find_spec(fullname, path)
             if spec is not None:
                 return spec
     return None
 
 
-class Alias(Loader):
-    """Module loader that gives the module of the new name when an old name is imported."""
+class AliasLoader(Loader):
+    """Module loader that returns the renamed module when its old name is imported."""
 
     def __init__(self, present: str) -> None:
         self.present = present
@@ -251,7 +251,8 @@ class Alias(Loader):
         return None
 
     def exec_module(self, module: ModuleType) -> None:
-        """Do nothing, as the module of the new name is already loaded."""
+        """Execute nothing, as the module of the new name is already loaded; only warn of the old
+        name."""
         warn_of_old_name(module.__name__, self.present)
         # The import takes what stands in sys.modules afterwards.
         sys.modules[module.__name__] = importlib.import_module(self.present)
@@ -274,7 +275,8 @@ def _restore_old_names(module: ModuleType, inner: str) -> None:
     }
 
     def find_renamed_object(name: str) -> Any:
-        """Object that an old name in a module stands for; a warning is issued."""
+        """Find the object that an old name in a module stands for, and warn that the name is
+        old."""
         if name not in old_names:
             raise AttributeError(f"module {module.__name__!r} has no attribute {name!r}")
         warn_of_old_name(f"{module.__name__}.{name}", f"{OURS}.{old_names[name]}")
@@ -293,7 +295,7 @@ def support_old_methods(base: type, methods: Mapping[str, str]) -> None:
     """Make renamed methods of a class and of its subclasses usable under their old names, for calls
     and for overriding."""
     add_method_aliases(base, methods)
-    for kind in _subclasses(base):
+    for kind in _all_subclasses(base):
         add_method_aliases(kind, methods)
     defined = vars(base).get("__init_subclass__")
 
@@ -310,7 +312,7 @@ def support_old_methods(base: type, methods: Mapping[str, str]) -> None:
 
 
 def add_method_aliases(kind: type, methods: Mapping[str, str]) -> None:
-    """Make each renamed method of a class available under its other name, too."""
+    """Make each renamed method of a class available under both its old and its new name."""
     for old, new in methods.items():
         defined = vars(kind)
         if old in defined and new not in defined:
@@ -320,18 +322,18 @@ def add_method_aliases(kind: type, methods: Mapping[str, str]) -> None:
             setattr(kind, old, defined[new])
 
 
-def _subclasses(base: type) -> Iterator[type]:
-    """All direct and indirect subclasses of a class."""
+def _all_subclasses(base: type) -> Iterator[type]:
+    """Iterate over all direct and indirect subclasses of a class."""
     subclasses: list[type] = base.__subclasses__()
     for kind in subclasses:
         yield kind
-        yield from _subclasses(kind)
+        yield from _all_subclasses(kind)
 
 
 def install_import_hook() -> None:
     """Install the import hook that makes old module names importable."""
-    if not any(isinstance(finder, OldModules) for finder in sys.meta_path):
-        sys.meta_path.insert(0, OldModules())
+    if not any(isinstance(finder, OldModuleFinder) for finder in sys.meta_path):
+        sys.meta_path.insert(0, OldModuleFinder())
     for (
         inner
     ) in _modules_with_renames():  # imported before this, by whatever imports the package in parts

@@ -119,7 +119,7 @@ def differences_of_loops(
     memory = law.initial_memory(2)
     output_equilibrium = model.scale.output_equilibrium
     reference = np.tile(output_equilibrium, (1, 1))
-    plan = law.reference_targets(reference)
+    plan = law.target_trajectory(reference)
     target = plan[0]
     rows = []
     for sample in range(samples):
@@ -131,7 +131,7 @@ def differences_of_loops(
         y = model.output_at(x, no_input)
         u = law.input(memory, y, target)
         load = () if d is None else (d[sample],)
-        memory = law.advance(memory, u, y, target, *load)
+        memory = law.next_memory(memory, u, y, target, *load)
         mapped_input = model.map_input(u)
         x = model.advance(x, mapped_input)
         if d is not None:

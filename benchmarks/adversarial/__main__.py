@@ -25,8 +25,8 @@ import yaml
 from benchmarks.common import study_of
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.evidence.metrics import collect_findings
-from ssm_study.loop.design_grid import DesignGrid
-from ssm_study.loop.peers.peer import Identified
+from ssm_study.loop.design_grid import RandomDesignTable
+from ssm_study.loop.peers.peer import IdentificationResult
 from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
 from ssm_study.robustness.mismatch import Mismatch
@@ -47,7 +47,7 @@ def plant_of(name: str) -> Plant:
     return getattr(importlib.import_module(module), kind)(**values)
 
 
-def before(known: Identified) -> Mismatch:
+def before(known: IdentificationResult) -> Mismatch:
     """What the rule that went before knew: the validation record alone, its average where the input
     has no power."""
     shown = replace(known, mismatch_records=()).mismatch
@@ -73,8 +73,8 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
     with TemporaryDirectory() as folder:
         found = parts.training.identify(parts.model, data, seed, Path(folder), False)
     model = parts.reduction.reduce(found.model)
-    known = Identified.from_data_set(model, certified_balls(model), data)
-    grid = DesignGrid(designs=designs)
+    known = IdentificationResult.from_data_set(model, certified_balls(model), data)
+    grid = RandomDesignTable(designs=designs)
     loop = parts.loop.with_default_horizon(model)
     rows = pd.DataFrame(grid.rows(plant, known, loop, seed))
     about = {

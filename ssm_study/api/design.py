@@ -25,7 +25,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.evidence.metrics import withhold_predictions
 from ssm_study.export import targets
-from ssm_study.loop.regulation import IdentifiedPlant, Loop, has_direct_feedthrough
+from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment, has_direct_feedthrough
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest, require
@@ -61,7 +61,7 @@ class Design:
     origin: Model | None = None
     run_folder: Path | None = None
     overrides: tuple[str, ...] = ()
-    loop: Loop | None = None
+    loop: LoopExperiment | None = None
     loop_seed: int = 0
     stored_record: dict[str, Any] = field(default_factory=dict)
 
@@ -301,7 +301,7 @@ class Design:
         if size is not None:
             size = read_number("size", size)
         on = choose_plant(self, plant)
-        loop = Loop().with_default_horizon(self.model)
+        loop = LoopExperiment().with_default_horizon(self.model)
         recorded = self._recorded_inputs
         if recorded:
             scale = self.model.scale

@@ -11,7 +11,7 @@ from ssm_study.api.arguments import Values
 from ssm_study.api.parts import Parts
 from ssm_study.data.arrays import disturbance_array, signal_array_and_names
 from ssm_study.loop.controller import Controller, ObserverFeedback
-from ssm_study.loop.regulation import IdentifiedPlant, Loop
+from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment
 from ssm_study.loop.rollout import Rollouts
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
@@ -61,7 +61,7 @@ def simulate_loop(
     _, starts = signal_array_and_names(y0, "y0", output_count, names)
     parts = Parts(LOOP, overrides)
     configured_loop = parts.build("loop")
-    loop: Loop = configured_loop.with_default_horizon(design.model)
+    loop: LoopExperiment = configured_loop.with_default_horizon(design.model)
     controller = controller or ObserverFeedback.from_design(design.model, design.certificate)
     measured = disturbance_array(disturbance, _disturbance_names(design))
     if measured is not None:

@@ -73,10 +73,10 @@ def look_at_log(options: argparse.Namespace) -> None:
 def write_excitation(options: argparse.Namespace) -> None:
     """Write an excitation signal, to be applied to the user's own plant, to a file and print the
     file's name."""
-    from ssm_study.data.excitations.user_excitation import OwnPlantRecord
+    from ssm_study.data.excitations.user_excitation import IdentificationExperiment
 
     settings = {"sines": ()} | excitation_settings(options)
-    names = list(OwnPlantRecord.__dataclass_fields__)
+    names = list(IdentificationExperiment.__dataclass_fields__)
     for name in names:
         words = f"--{name.replace('_', '-')}"
         remedy = "give it, or --after RUN of a first log"
@@ -87,7 +87,7 @@ def write_excitation(options: argparse.Namespace) -> None:
             "it is needed when no earlier run is named",
             remedy,
         )
-    record = OwnPlantRecord(**{name: settings[name] for name in names})
+    record = IdentificationExperiment(**{name: settings[name] for name in names})
     print(record.write(options.to))
 
 

@@ -24,7 +24,7 @@ DAY_S = 86400.0
 ORDERS = {"year first": "abc", "day first": "cba", "month first": "cab"}
 
 
-class AmbiguousDates(ValueError):
+class AmbiguousDatesError(ValueError):
     """Error for dates that can be read in two ways, because day and month can be exchanged."""
 
 
@@ -61,7 +61,7 @@ def dates_to_seconds(cells: list[str]) -> DateSeconds:
     cell without a date becomes NaN.
 
     `03/04/2026` may be March or April: the order under which the times increase is taken. Raises
-    `AmbiguousDates` where both do and differ.
+    `AmbiguousDatesError` where both do and differ.
     """
     series = pd.Series(cells, dtype=str)
     of_day = series.str.extract(f"^{TIME_OF_DAY}$")
@@ -199,7 +199,7 @@ def choose_increasing_times(interpretations: list[np.ndarray], samples: int) -> 
         chosen = [one for one in chosen if has_no_long_step(one)]
     first, *others = map(date_differences_s, chosen)
     if any(not np.allclose(first, other) for other in others):
-        raise AmbiguousDates
+        raise AmbiguousDatesError
     return chosen[0]
 
 

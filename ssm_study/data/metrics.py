@@ -90,7 +90,7 @@ def position_rmse_mm(
     return float(1000.0 * rms)
 
 
-class SlopesNotIdentifiable(UserWarning):
+class UnidentifiableSlopesWarning(UserWarning):
     """Warning that the training inputs take too few levels for the slopes of an input nonlinearity
     to be identified."""
 
@@ -128,7 +128,7 @@ def warn_if_two_level(data: DataSet) -> str | None:
                 "nonlinear S_u between them are not identifiable; train on many levels "
                 "(`ssm-study excite` for a log, excitation=aprbs for a simulated plant)."
             )
-            warnings.warn(sentence, SlopesNotIdentifiable, stacklevel=2)
+            warnings.warn(sentence, UnidentifiableSlopesWarning, stacklevel=2)
             return sentence
     return None
 

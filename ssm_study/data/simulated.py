@@ -45,7 +45,7 @@ SINES = 13  # marks the seed of their noise
 FRESH = 11  # marks the seeds of fresh data sets
 
 
-class TrainingAmplitudeOnly(UserWarning):
+class TrainingAmplitudeWarning(UserWarning):
     """Warning that the amplitude set for an excitation applies to the training records only."""
 
 
@@ -185,8 +185,8 @@ def simulate_mismatch_records(
     slow return.
     """
     rest = plant.equilibrium()
-    clock_samples = round(plant.input_clock_s / plant.step_s)
-    longest = 5 * max(clock_samples, 1)
+    clock_period_samples = round(plant.input_clock_s / plant.step_s)
+    longest = 5 * max(clock_period_samples, 1)
     amplitude = np.array(plant.input_amplitude)
     signals = [_broadband_input(rng, longest) for _ in rest.u]
     period = np.stack(signals, axis=1) * amplitude

@@ -94,6 +94,6 @@ def simulate_replayed_signals(
     inputs = []
     for row in y[:, None]:
         u = controller.input(memory, row, none)
-        memory = controller.advance(memory, u, row, none)
+        memory = controller.next_memory(memory, u, row, none)
         inputs.append(u[0])
     return y, np.stack(inputs)

@@ -72,10 +72,11 @@ class BilinearFeedback(Controller):
         scaled = np.clip(unlimited, nodes[0], largest_node)
         return self.model.scale.physical_input(scaled)
 
-    def advance(
+    def next_memory(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
     ) -> Memory:
-        """Next state estimate of the observer, from the applied input and the measured output."""
+        """Next state estimate of the observer, computed from the applied input and the measured
+        output."""
         model = self.model
         predicted = memory @ model.c.T
         innovation = predicted - model.scale.scaled_output(y)
@@ -139,7 +140,7 @@ class BilinearPlant(Plant):
         inverse_output_map = np.linalg.pinv(self.model.c)
         return scaled @ inverse_output_map.T
 
-    def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
+    def next_states(self, x: States, u: Inputs, d: Disturbances) -> States:
         """Next states of the bilinear model, with disturbances added."""
         advanced = advance_bilinear_states(self.model, x, u)
         return advanced + d

@@ -33,8 +33,8 @@ Columns = Float[np.ndarray, "n k"]
 def transform_to_inverse_metric(
     inverse_metric: Float[np.ndarray, "n n"], vectors: Columns
 ) -> Columns:
-    """Transform vectors so that their Euclidean norms equal their norms in the inverse of a given
-    metric.
+    """Transform vectors so that the Euclidean norm of each equals the vector's norm in the inverse
+    of a given metric.
 
     `R^{-1} columns` with `R R' = matrix`.
     """
@@ -157,8 +157,8 @@ def count_bound_violations(
 def estimation_decay_rate(
     states: States, estimates: Estimates, feedback: StateFeedback, observer: Observer
 ) -> float | None:
-    """Measured contraction rate `1 - r^2` of the observer's estimation error, in the slowest
-    simulation.
+    """Measured contraction rate `1 - r^2` of the observer's estimation error, in the simulation
+    where the error decays most slowly.
 
     r is the mean shrink per sample of `e = ||xh - x||_Q` until it is below `FORGOTTEN` of its
     start; on the model `e[k+1] <= r_o e[k]`, so the rate is at least the certified
@@ -181,8 +181,8 @@ def relative_bound_excess(
     feedback: StateFeedback,
     observer: Observer,
 ) -> float | None:
-    """Largest excess of the estimated state's distance from the equilibrium over its certified
-    bound, relative to the initial bound.
+    """Largest amount by which the estimated state's distance from the equilibrium exceeds its
+    certified bound, relative to the initial bound.
 
     `max(0, ||xh[k]||_M - b[k]) / b[0]` over cases and samples. `b[k]` is the bound above plus
     `kappa r_o^k e[0]` (docs/closed_loop.md); on the model from `initial_states` the value is 0. `M`

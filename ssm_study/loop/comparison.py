@@ -8,10 +8,16 @@ import numpy as np
 import scipy
 
 from ssm_study.loop import peers
-from ssm_study.loop.metrics import pool_columns
-from ssm_study.loop.peers.peer import UNSAID, Identified, Peer, Row, build_compared_controller
+from ssm_study.loop.metrics import pooled_run_columns
+from ssm_study.loop.peers.peer import (
+    UNSAID,
+    ComparisonMethod,
+    IdentificationResult,
+    Row,
+    build_compared_controller,
+)
 from ssm_study.loop.peers.pi import PI
-from ssm_study.loop.regulation import ComparisonTable, Loop
+from ssm_study.loop.regulation import ComparisonTable, LoopExperiment
 from ssm_study.plants.disturbance import PeriodicDisturbance, StepDisturbance
 from ssm_study.plants.plant import Plant
 from ssm_study.plants.wrapper import DelayedInput, SaturatedInput
@@ -20,7 +26,7 @@ from ssm_study.refusal import require, require_at_least
 LOADS = ("load_step", "load_pulse", "load_periodic")
 SITUATIONS = ("nominal", *LOADS, "noise_free", "noise_4x", "saturation", "delay", "spread")
 WITHDRAWN = {"mpc": "the linear MPC was withdrawn in 0.2 (CHANGELOG.md, 0.2.0)"}
-Case = tuple[Plant, Loop]
+Case = tuple[Plant, LoopExperiment]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +41,9 @@ class Comparison(ComparisonTable):
     out.
     """
 
-    controllers: Sequence[str] = field(default_factory=lambda: tuple(Peer.members(peers)))
+    controllers: Sequence[str] = field(
+        default_factory=lambda: tuple(ComparisonMethod.members(peers))
+    )
     situations: Sequence[str] = ("nominal",)
     rate: float = 0.05
     own_pi: Sequence[float] | None = None
@@ -47,7 +55,7 @@ class Comparison(ComparisonTable):
     spread_fields: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        names = tuple(Peer.members(peers))
+        names = tuple(ComparisonMethod.members(peers))
         self._require_known_names("controllers", names)
         self._require_known_names("situations", SITUATIONS)
         rate = self.rate
@@ -63,7 +71,8 @@ class Comparison(ComparisonTable):
         require(is_pi, "loop.comparison.own_pi", self.own_pi, "not a gain and a time", remedy)
 
     def _require_known_names(self, field_name: str, known_names: Sequence[str]) -> None:
-        """Raise `BadRequest` for a setting of the comparison that contains an unknown name."""
+        """Raise `BadRequest` for a list in the comparison's settings that contains an unknown
+        name."""
         requested_names = getattr(self, field_name)
         unknown = [value for value in requested_names if value not in known_names]
         withdrawn = [WITHDRAWN[value] for value in unknown if value in WITHDRAWN]
@@ -71,7 +80,9 @@ class Comparison(ComparisonTable):
         remedy = f"use some of {', '.join(known_names)}"
         require(not unknown, f"loop.comparison.{field_name}", unknown, problem, remedy)
 
-    def rows(self, plant: Plant, identified: Identified, loop: Loop, seed: int) -> list[Row]:
+    def rows(
+        self, plant: Plant, identified: IdentificationResult, loop: LoopExperiment, seed: int
+    ) -> list[Row]:
         """Rows of the comparison table, one for each controller and test condition.
 
         A controller that does not exist for this model has rows with the reason and no numbers.
@@ -94,11 +105,13 @@ class Comparison(ComparisonTable):
                 row |= predicted
                 if controller:
                     runs = [varied.run_on_plant(on, controller, seed) for on, varied in cases]
-                    row |= pool_columns(runs)
+                    row |= pooled_run_columns(runs)
                 rows.append(row)
         return rows
 
-    def situation_cases(self, plant: Plant, loop: Loop, situation: str, seed: int) -> list[Case]:
+    def situation_cases(
+        self, plant: Plant, loop: LoopExperiment, situation: str, seed: int
+    ) -> list[Case]:
         """Plants and closed-loop experiments of one test condition, such as a load step; empty if
         the plant does not support the condition."""
         samples = loop.horizon_samples(plant.step_s)

@@ -37,8 +37,8 @@ class Controller(ABC):
     """Interface of control laws that compute inputs from measured outputs, with a memory that is
     updated at every sample.
 
-    `u[k] = input(memory[k], y[k], target[k])`, `memory[k+1] = advance(memory[k], u[k], y[k],
-    target[k])`. `u` and `y` are in physical units. `reference_targets` turns a reference into
+    `u[k] = input(memory[k], y[k], target[k])`, `memory[k+1] = next_memory(memory[k], u[k], y[k],
+    target[k])`. `u` and `y` are in physical units. `target_trajectory` turns a reference into
     whatever the law follows at each sample, once, before the loop runs. Law: the same memory and
     measurement give the same input, row by row, whatever the batch.
     """
@@ -50,25 +50,25 @@ class Controller(ABC):
         """Memory of a controller before the first sample, one row for each parallel simulation."""
         return np.zeros((cases, 0))
 
-    def reference_targets(self, reference: Reference) -> Plan:
-        """Signal that a control law follows at each sample, computed in advance from the reference.
-        Unless overridden it is the reference itself."""
+    def target_trajectory(self, reference: Reference) -> Plan:
+        """Target that a control law follows at each sample, computed before the loop runs from the
+        whole reference. Unless overridden it is the reference itself."""
         return reference
 
     def required_inputs(self, reference: Reference) -> Float[np.ndarray, "K m"]:
-        """Inputs with which a control law holds the extreme values of the reference; empty if
-        unknown."""
+        """Inputs with which a control law holds the smallest and the largest value of the
+        reference; empty if they are unknown."""
         return np.zeros((0, self.dimensions[0]))
 
     @abstractmethod
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
         """Input that a control law applies over the coming sample."""
 
-    def advance(
+    def next_memory(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
     ) -> Memory:
-        """Advance the memory of a controller to the next sample. `d` None stands for disturbances
-        at their equilibrium."""
+        """Memory of a controller at the next sample, such as its state estimate. `d` None stands
+        for disturbances at their equilibrium."""
         return memory
 
     def estimate(self, memory: Memory) -> Estimate:
@@ -77,7 +77,7 @@ class Controller(ABC):
         return memory[:, :0]
 
     def select_cases(self, is_selected: Bool[np.ndarray, "N"]) -> "Controller":
-        """Copy of a controller for a selection of the parallel simulations."""
+        """Copy of a controller for only some of the parallel simulations."""
         return self
 
 
@@ -126,7 +126,7 @@ class EstimateFeedback(Controller):
 
     @property
     def dimensions(self) -> tuple[int, int]:  # type: ignore[override]  # as step_s
-        """Numbers of inputs and outputs of the controller's model."""
+        """Numbers of inputs and of outputs of the controller's model."""
         inputs = self.model.scale.inputs
         return inputs, self.model.scale.outputs
 
@@ -136,15 +136,15 @@ class EstimateFeedback(Controller):
         gain_width = gains_k.shape[-1]
         return np.zeros((cases, gain_width))
 
-    def reference_targets(self, reference: Reference) -> Plan:
-        """Trajectory of states, inputs and outputs of the model that the control law follows,
-        computed from the reference."""
+    def target_trajectory(self, reference: Reference) -> Plan:
+        """Equilibrium states and inputs of the model that hold the reference at each sample."""
         return set_point_equilibria(self.model, reference)
 
-    def advance(
+    def next_memory(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
     ) -> Estimate:
-        """Next state estimate of the observer, from the applied input and the measured output."""
+        """Next state estimate of the observer, computed from the applied input and the measured
+        output."""
         model = self.model
         gains = self.gains
         x_hat = memory[:, : model.order]
@@ -202,8 +202,9 @@ class ObserverFeedback(EstimateFeedback):
         its parts is infeasible."""
         return cls(model=model, gains=design.gain_pair)
 
-    def reference_targets(self, reference: Reference) -> Plan:
-        """Trajectory of states, inputs and outputs of the model that follows the reference."""
+    def target_trajectory(self, reference: Reference) -> Plan:
+        """Trajectory of the model's states, inputs and outputs whose output follows the
+        reference."""
         model = self.model
         n = model.order
         if isinstance(model, StructuredSSM):
@@ -222,7 +223,7 @@ class ObserverFeedback(EstimateFeedback):
         return np.concatenate(plan_with_outputs, axis=1)
 
     def select_cases(self, is_selected: Bool[np.ndarray, "N"]) -> "ObserverFeedback":
-        """Copy of the controller for a selection of the parallel simulations."""
+        """Copy of the controller with the gains of only some of the parallel simulations."""
         if self.gains.k.ndim == 2:
             return self
         indices = np.flatnonzero(is_selected)
@@ -256,12 +257,12 @@ class ObserverFeedback(EstimateFeedback):
         unlimited_u = u + feedback
         return self.model.scale.physical_input(unlimited_u)
 
-    def advance(
+    def next_memory(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
     ) -> Memory:
-        """Next state estimate and internal-model state, from the applied input and the measured
-        output."""
-        x_hat = super().advance(memory, u, y, target, d)
+        """Next states of observer and internal model, computed from the applied input and the
+        measured output."""
+        x_hat = super().next_memory(memory, u, y, target, d)
         order = self.model.order
         z = memory[:, order:]
         modes = self.gains.modes

@@ -11,8 +11,8 @@ from jaxtyping import Int
 from ssm_study.loop.controller import ObserverFeedback, Uncontrolled
 from ssm_study.loop.metrics import mean_without_none
 from ssm_study.loop.motion import classify_motions, settling_times_s
-from ssm_study.loop.peers.peer import Identified, Row
-from ssm_study.loop.regulation import ComparisonTable, Loop
+from ssm_study.loop.peers.peer import IdentificationResult, Row
+from ssm_study.loop.regulation import ComparisonTable, LoopExperiment
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require_at_least
 from ssm_study.robustness.prediction import predict_margins
@@ -32,9 +32,9 @@ impossible."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class DesignGrid(ComparisonTable):
-    """Settings of a table of randomly chosen certified designs, with their predictions and their
-    behaviour on the true plant.
+class RandomDesignTable(ComparisonTable):
+    """Settings of a table of randomly chosen certified designs, with their predicted margins and
+    their simulated behaviour on the true plant.
 
     The default choice, if any, is row 0. A row holds rates, gains, what is predicted
     (`synthesis.mismatch`), the response area on the model, and what the true plant did over the
@@ -49,7 +49,9 @@ class DesignGrid(ComparisonTable):
     def __post_init__(self) -> None:
         require_at_least(1, "loop.comparison.designs", self.designs, "use 150")
 
-    def rows(self, plant: Plant, identified: Identified, loop: Loop, seed: int) -> list[Row]:
+    def rows(
+        self, plant: Plant, identified: IdentificationResult, loop: LoopExperiment, seed: int
+    ) -> list[Row]:
         """Rows of the table, one for each random design: rates, predicted margins and closed-loop
         behaviour."""
         candidates = self.auto.compute_candidates(identified.model, identified.balls)
@@ -110,7 +112,7 @@ def _prepend_gains(first_gains: Gains, other_gains: Gains) -> Gains:
     return Gains(**stacked)
 
 
-def _prediction_columns(identified: Identified, gains: Gains) -> list[Row]:
+def _prediction_columns(identified: IdentificationResult, gains: Gains) -> list[Row]:
     """Table columns with gain norms, predicted stability and the response on the model, one row for
     each design."""
     mismatch = identified.mismatch
@@ -137,9 +139,10 @@ def _prediction_columns(identified: Identified, gains: Gains) -> list[Row]:
 
 
 def _behaviour_columns(
-    plant: Plant, identified: Identified, gains: Gains, loop: Loop, seed: int
+    plant: Plant, identified: IdentificationResult, gains: Gains, loop: LoopExperiment, seed: int
 ) -> list[Row]:
-    """Table columns on the closed-loop behaviour on the true plant, one row for each design."""
+    """Table columns on the behaviour of the closed loop on the true plant, one row for each
+    design."""
     y0, noise = loop.draw_starts_and_noise(plant, seed)
     band = plant.settling_band
     designs = len(gains.k)
@@ -174,8 +177,8 @@ def _settling_columns(
     open_loop_s: float | None,
     left_bound_count: int,
 ) -> Row:
-    """Table columns on how many simulations of one design settle, how fast, and how the others
-    move."""
+    """Table columns on how many simulations of one design settle, how fast, and how the unsettled
+    ones move."""
     cases = len(times_s)
     unsettled = set(motion_classes) - {"settled"}
     unsettled_kinds = sorted(unsettled)

@@ -131,7 +131,7 @@ def behaviour_columns(loop: LoopRuns) -> Columns:
     Definitions: docs/closed_loop.md; times in s, inputs in their unit. None where nothing is
     defined, never NaN: `measured_contraction_rate` when several plants are pooled.
     """
-    columns = pool_columns([loop])
+    columns = pooled_run_columns([loop])
     columns["empirical_rate"] = measured_contraction_rate(loop.controlled, loop.settling_band)
     columns["noise_gain_measured"] = measured_noise_gain(loop.controlled)
     return columns
@@ -162,9 +162,9 @@ def measured_noise_gain(run: Rollouts) -> float | None:
     return float(gains.max())
 
 
-def pool_columns(loops: list[LoopRuns]) -> Columns:
-    """Table columns computed from the pooled simulations of several closed-loop experiments of the
-    same length."""
+def pooled_run_columns(loops: list[LoopRuns]) -> Columns:
+    """Table columns computed from all simulations of several closed-loop experiments of the same
+    length together."""
     efforts = [loop.controlled.u - loop.input_equilibrium for loop in loops]
     errors = [loop.controlled.y - loop.controlled.reference for loop in loops]
     case_counts = (len(error) for error in errors)
@@ -194,8 +194,7 @@ def pool_columns(loops: list[LoopRuns]) -> Columns:
 
 
 def settling_columns(loops: list[LoopRuns], case_count: int) -> Columns:
-    """Table columns on how many simulations settle and how fast, compared with the uncontrolled
-    plant."""
+    """Table columns on how many simulations settle and how fast, with control and without."""
     times_s: list[float | None] = []
     alone_s: list[float | None] = []
     motion: Counter[str] = Counter()
@@ -261,7 +260,7 @@ def largest_residual_oscillation(loops: list[LoopRuns]) -> float | None:
 
 
 def largest_overshoot(loop: LoopRuns) -> float:
-    """Largest overshoot among several simulations of a controlled plant, relative to the initial
+    """Largest overshoot of the controlled plant among several simulations, relative to the initial
     error."""
     per_case = overshoots(loop.controlled, loop.settling_band)
     return float(per_case.max())
@@ -274,7 +273,8 @@ def sum_of_squares(signals: list[Float[np.ndarray, "N T c"]]) -> float:
 
 
 def largest_final_error(errors: Float[np.ndarray, "N T p"]) -> float:
-    """Largest, over all simulations, of the mean control error in the last tenth."""
+    """Largest mean control error over the last tenth of the horizon, among all simulations and
+    outputs."""
     samples = errors.shape[1]
     last = max(samples // 10, 1)
     last_errors = errors[:, -last:]
@@ -284,8 +284,8 @@ def largest_final_error(errors: Float[np.ndarray, "N T p"]) -> float:
 
 
 def divergence_columns(loops: list[LoopRuns], step_s: float) -> Columns:
-    """Table columns with the number of simulations stopped because of divergence, and the earliest
-    stop."""
+    """Table columns with the number of simulations that were stopped because they diverged, and the
+    time of the earliest stop."""
     left: list[int] = []
     for loop in loops:
         at_sample = loop.controlled.left_at_sample
@@ -300,7 +300,7 @@ CERTIFIED = ("certified_bound_violations", "estimate_decay_rate", "certified_bou
 
 
 def certificate_columns(loop: LoopRuns, design: Design) -> Columns:
-    """Table columns that compare the simulated distance from the equilibrium with its certified
+    """Table columns that compare the distance from the equilibrium in simulation with its certified
     bound.
 
     All None without a run on the model; `certified_bound_excess_plant` is None too where plant and

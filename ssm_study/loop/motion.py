@@ -33,7 +33,8 @@ def last_step_sample(reference: OutputSignal) -> int:
 
 
 def settling_times_s(rollouts: Rollouts, settling_band: float) -> tuple[float | None, ...]:
-    """Settling time of each simulation (case), in seconds after the last step of the reference.
+    """Settling time of each simulation, in seconds after the last step of the reference; None for
+    one that never settles.
 
     From that time on `|y - reference| <= band` holds to the end. None if there is no such time, or
     if less than `DWELL` of the horizon follows it. `settling_band` in the output's unit. A case

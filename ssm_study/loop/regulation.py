@@ -10,7 +10,7 @@ from jaxtyping import Float
 from ssm_study.certificates.certificate import Design
 from ssm_study.loop.controller import Controller, ObserverFeedback, Uncontrolled
 from ssm_study.loop.motion import settling_times_s
-from ssm_study.loop.peers.peer import Identified, Row
+from ssm_study.loop.peers.peer import IdentificationResult, Row
 from ssm_study.loop.reference import EquilibriumReference, Reference
 from ssm_study.loop.rollout import UNLIMITED, Limits, Rollouts, simulate_closed_loop
 from ssm_study.loop.trajectory import invert_map, scaled_equilibrium
@@ -102,10 +102,10 @@ class IdentifiedPlant(Plant):
         Where no input holds it (neurons may rectify or saturate; fewer inputs than outputs hold
         few outputs), the smallest state that the linear part reads as it.
         """
-        return np.stack([self._steady_state(y) for y in y0])
+        return np.stack([self._equilibrium_state(y) for y in y0])
 
-    def _steady_state(self, y: Float[np.ndarray, "p"]) -> Float[np.ndarray, "n"]:
-        """State at which a constant input holds the model's outputs at given values."""
+    def _equilibrium_state(self, y: Float[np.ndarray, "p"]) -> Float[np.ndarray, "n"]:
+        """State at which a constant input holds the outputs of the model at given values."""
         try:
             state, _ = scaled_equilibrium(self.model, y)
             return state
@@ -123,10 +123,10 @@ class IdentifiedPlant(Plant):
             pseudo_inverse = np.linalg.pinv(linear_c)
             return pseudo_inverse @ scaled_output
 
-    def advance(
+    def next_states(
         self, x: States, u: Float[np.ndarray, "N m"], d: Float[np.ndarray, "N q"]
     ) -> States:
-        """Next states of the identified model, with disturbances added after its input map."""
+        """Next states of the identified model, with disturbances added to the mapped input."""
         mapped_input = self.model.map_input(u)
         return self.model.advance(x, mapped_input + d)
 
@@ -150,12 +150,12 @@ def _number_channels(name: str, count: int) -> Channels:
 
 
 def _scaled_channels(prefix: str, count: int) -> Channels:
-    """Channels of scaled signals, whose names are a common prefix and a number from 0."""
+    """Channels of scaled (dimensionless) signals, named by a common prefix and a number from 0."""
     return tuple(Channel(name=f"{prefix}{i}", unit="1") for i in range(count))
 
 
 def has_direct_feedthrough(model: Model) -> bool:
-    """Whether the input of a model affects its output within the same sample."""
+    """Whether the input of a model affects the output within the same sample."""
     through_neuron = False
     if isinstance(model, StructuredSSM):
         is_driven = model.g.any(axis=1)
@@ -172,13 +172,12 @@ REMAINDER = 0.01  # share of `sum |C A^k B|` that is left behind the length of t
 
 @dataclass(frozen=True, kw_only=True)
 class LoopRuns:
-    """Simulations of one closed-loop experiment: the plant, the plant without control, and the
-    model.
+    """Simulations of one closed-loop experiment: plant, plant without control, and model.
 
-    `on_model` is `Loop.run_on_model`, None for a controller that has no model; `settling_band` in
-    the output's unit. `noise_free`: without measurement noise, where that alone crosses the band;
-    settling is then judged on it. `quiet`: without measurement noise, whatever it does; None where
-    there is none.
+    `on_model` is `LoopExperiment.run_on_model`, None for a controller that has no model;
+    `settling_band` in the output's unit. `noise_free`: without measurement noise, where that alone
+    crosses the band; settling is then judged on it. `quiet`: without measurement noise, whatever it
+    does; None where there is none.
     """
 
     controlled: Rollouts
@@ -191,8 +190,8 @@ class LoopRuns:
 
     @property
     def rollouts_for_settling(self) -> Rollouts:
-        """Simulations of the controlled plant from which the settling time is measured. They are
-        without noise if noise alone would leave the settling band."""
+        """Simulations of the controlled plant from which settling times are computed: without noise
+        if noise alone exceeds the settling band."""
         return self.noise_free or self.controlled
 
 
@@ -200,19 +199,20 @@ class ComparisonTable(ABC):
     """Interface of tables of closed-loop simulations that a run writes to `comparison.csv`."""
 
     @abstractmethod
-    def rows(self, plant: Plant, identified: Identified, loop: "Loop", seed: int) -> list[Row]:
+    def rows(
+        self, plant: Plant, identified: IdentificationResult, loop: "LoopExperiment", seed: int
+    ) -> list[Row]:
         """Rows of a comparison table, all with the same columns. Missing values are None."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Loop:
+class LoopExperiment:
     """Settings of a closed-loop experiment from several initial outputs over a fixed horizon.
 
     The `initial_conditions` outputs are uniform in the plant's `initial_range`. The fields are
-    explained in conf/loop/regulation.yaml; the noise is Gaussian, its variance in
-    the output's unit squared. The bound counts from the equilibrium and is wider by the largest
-    offset of the reference. `comparison` is a table the run leaves beside its record,
-    `comparison.csv`.
+    explained in conf/loop/regulation.yaml; the noise is Gaussian, its variance in the output's unit
+    squared. The bound counts from the equilibrium and is wider by the largest offset of the
+    reference. `comparison` is a table the run leaves beside its record, `comparison.csv`.
     """
 
     initial_conditions: int = 10
@@ -251,7 +251,9 @@ class Loop:
         high = highest if self.input_upper is None else self.input_upper
         return np.asarray(low, dtype=float), np.asarray(high, dtype=float)
 
-    def with_default_limits(self, recorded_inputs: Sequence[Float[np.ndarray, "_ m"]]) -> "Loop":
+    def with_default_limits(
+        self, recorded_inputs: Sequence[Float[np.ndarray, "_ m"]]
+    ) -> "LoopExperiment":
         """Copy of a closed-loop experiment in which missing input limits are the range of the
         recorded inputs."""
         low, high = input_limits(self.input_lower, self.input_upper, recorded_inputs)
@@ -260,8 +262,8 @@ class Loop:
         return replace(self, input_lower=input_lower, input_upper=input_upper)
 
     def run_design(self, plant: Plant, model: Model, design: Design, seed: int) -> LoopRuns:
-        """Simulate a certified design on the plant and, for comparison, on the model without
-        noise."""
+        """Simulate a certified design on the plant and, without noise, on the model for
+        comparison."""
         controller = ObserverFeedback.from_design(model, design)
         runs = self.run_on_plant(plant, controller, seed)
         initial_outputs = runs.controlled.y[:, 0]
@@ -270,7 +272,6 @@ class Loop:
 
     def run_on_plant(self, plant: Plant, controller: Controller, seed: int) -> LoopRuns:
         """Simulate a plant with a controller and, for comparison, without control.
-
         At one seed all controllers meet the same initial states, noise, reference and disturbance.
         """
         rest = plant.equilibrium()
@@ -282,7 +283,7 @@ class Loop:
             quiet = self.simulate(plant, controller, y0, np.zeros_like(noise))
             times_s = settling_times_s(controlled, plant.settling_band)
             is_settled = None not in times_s
-            if not is_settled and self._noise_leaves_band(plant, controller, noise):
+            if not is_settled and self._noise_exceeds_band(plant, controller, noise):
                 noise_free = quiet
         uncontrolled = self.simulate(plant, Uncontrolled.for_plant(plant), y0, noise)
         return LoopRuns(
@@ -294,11 +295,10 @@ class Loop:
             quiet=quiet,
         )
 
-    def _noise_leaves_band(
+    def _noise_exceeds_band(
         self, plant: Plant, controller: Controller, noise: OutputSignals
     ) -> bool:
-        """Whether measurement noise alone drives a controlled plant from its equilibrium out of the
-        settling band."""
+        """Whether measurement noise alone moves the controlled output beyond the settling band."""
         still = replace(self, reference=EquilibriumReference(), disturbance=NoDisturbance())
         equilibrium = plant.equilibrium()
         cases = len(noise)
@@ -309,20 +309,20 @@ class Loop:
         return bool(is_outside.any())
 
     def run_on_model(self, plant: Plant, controller: ObserverFeedback, y0: Outputs) -> Rollouts:
-        """Simulate a controller in closed loop with its own model in place of the plant, without
-        noise and disturbance.
-
+        """Simulate a controller in closed loop with its own model, without noise and disturbance.
         This is the situation that the certificate speaks of.
         """
         twin = IdentifiedPlant.from_model(controller.model, plant.inputs, plant.outputs)
         twin = replace(twin, initial_range=plant.initial_range)  # the bound is a multiple of it
-        quiet = Loop(horizon_s=self.horizon_s, bound_in_initial_ranges=self.bound_in_initial_ranges)
+        quiet = LoopExperiment(
+            horizon_s=self.horizon_s, bound_in_initial_ranges=self.bound_in_initial_ranges
+        )
         cases, outputs = y0.shape
         samples = self.horizon_samples(plant.step_s)
         no_noise = np.zeros((cases, samples, outputs))
         return quiet.simulate(twin, controller, y0, no_noise)
 
-    def with_default_horizon(self, model: Model) -> "Loop":
+    def with_default_horizon(self, model: Model) -> "LoopExperiment":
         """Copy of a closed-loop experiment in which a missing horizon is set to suit the model. It
         is `RESPONSES` times the model's response."""
         if self.horizon_s is not None:

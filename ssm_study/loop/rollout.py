@@ -58,8 +58,8 @@ class Rollouts:
 
     @property
     def stayed_within_bound(self) -> CaseSelection:
-        """For each simulation, whether all signals stayed within the bound beyond which simulations
-        are stopped."""
+        """For each simulation, whether all signals stayed within the bound at which a simulation is
+        stopped as divergent."""
         return self.left_at_sample == STAYED
 
     @property
@@ -82,7 +82,7 @@ def simulate_closed_loop(
     measured_disturbance: Float[np.ndarray, "T k"] | None = None,
 ) -> Rollouts:
     """Simulate a controller in closed loop with a plant, from several initial conditions at once.
-    `u[k] = controller(y[k] + noise[k])`, `x[k+1] = plant.advance(x[k], u[k], d[k])`.
+    `u[k] = controller(y[k] + noise[k])`, `x[k+1] = plant.next_states(x[k], u[k], d[k])`.
 
     All cases at once. `bound (p,)` is the largest `|y - y_eq|` a case may reach before it is
     stopped, in the output's unit; input limits (input's unit) are known to the controller. A
@@ -92,7 +92,7 @@ def simulate_closed_loop(
     _require_valid_experiment(plant, controller, reference, limits)
     cases, samples, _ = noise.shape
     memory = controller.initial_memory(cases)
-    targets = controller.reference_targets(reference)
+    targets = controller.target_trajectory(reference)
     estimates = controller.estimate(memory).shape[1]
     log = allocate_log(plant, estimates, noise.shape, initial_states.shape[1])
     left_at_sample = np.full(cases, STAYED)
@@ -121,8 +121,8 @@ def simulate_closed_loop(
         values = {"u": u, "y": y, "measured": measured, "states": x, "estimate": estimate}
         write_samples(log, going, k, values)
         load = () if measured_disturbance is None else (measured_disturbance[k],)
-        memory = controller.advance(memory, u, measured, targets[k], *load)
-        x = plant.advance(x, u, disturbance[going, k])
+        memory = controller.next_memory(memory, u, measured, targets[k], *load)
+        x = plant.next_states(x, u, disturbance[going, k])
         if load:
             x = x + plant.disturbance_effect(*load)
     repeat_last_values(log, left_at_sample)
@@ -134,8 +134,8 @@ def simulate_closed_loop(
 def _is_inside_bound(
     plant: Plant, y: Outputs, u: Inputs, estimate: Estimates, bound: Bound
 ) -> CaseSelection:
-    """For each simulation, whether output, input and estimate are within the bound beyond which
-    simulations are stopped."""
+    """For each simulation, whether output, input and estimate are within the bound at which a
+    simulation is stopped as divergent."""
     rest = plant.equilibrium()
     input_deviation = u - rest.u
     input_amplitudes = np.array(plant.input_amplitude)
@@ -151,8 +151,8 @@ def _is_inside_bound(
 def _require_valid_experiment(
     plant: Plant, controller: Controller, reference: OutputSignal, limits: Limits
 ) -> None:
-    """Raise `BadRequest` for a controller that does not fit the plant, or a reference that limited
-    inputs cannot hold."""
+    """Raise `BadRequest` for a controller that does not fit the plant, or a reference that the
+    plant cannot hold within the input limits."""
     _require_compatible_controller(plant, controller)
     if any(np.isfinite(end).any() for end in limits):
         required_inputs = controller.required_inputs(reference)
@@ -202,7 +202,7 @@ def replay_error(controller: Controller, rollouts: Rollouts, limits: Limits = UN
     hold at a limit. The memory advances by the recorded input, so that errors do not add up.
     """
     stayed = rollouts.stayed_within_bound
-    targets = controller.reference_targets(rollouts.reference)
+    targets = controller.target_trajectory(rollouts.reference)
     stayed_count = stayed.sum()
     memory = controller.initial_memory(int(stayed_count))
     worst = 0.0
@@ -215,7 +215,7 @@ def replay_error(controller: Controller, rollouts: Rollouts, limits: Limits = UN
         differences = np.abs(again - applied)
         largest_difference = differences.max(initial=worst)
         worst = float(largest_difference)
-        memory = controller.advance(memory, applied, measured, targets[k])
+        memory = controller.next_memory(memory, applied, measured, targets[k])
     input_sizes = np.abs(rollouts.u)
     largest = float(input_sizes.max())
     smallest_float = np.finfo(float).tiny

@@ -14,7 +14,7 @@ SampleOfCase = Int[np.ndarray, "N"]
 def write_stopped_cases(
     log: Log, plant: Plant, stopped: SomeCases, sample: int, last: Values
 ) -> None:
-    """Write the last values of stopped simulations to all remaining samples of the log."""
+    """Write the last values of stopped simulations into all remaining samples of the log."""
     equilibrium = plant.equilibrium()
     stopped_count = len(stopped)
     at_rest = np.tile(equilibrium.u, (stopped_count, 1))
@@ -43,8 +43,8 @@ def allocate_log(
 
 
 def repeat_last_values(log: Log, left_at_sample: SampleOfCase) -> None:
-    """Fill the rest of a stopped simulation's log with the last values before its signals exceeded
-    the bound."""
+    """Fill the rest of a stopped simulation's log with the last values before the bound was
+    exceeded."""
     for case in np.flatnonzero(left_at_sample > 0):
         left = left_at_sample[case]
         for values in log.values():

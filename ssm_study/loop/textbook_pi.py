@@ -1,19 +1,19 @@
-"""Table columns on a PI controller that is tuned by a textbook rule from the same model, for
-comparison with a certified design. It runs on the same plant from the same initial states."""
+"""Table columns on a PI controller that is tuned by a textbook rule from the same identified model,
+for comparison with a certified design. It runs on the same plant from the same initial states."""
 
 import numpy as np
 
 from ssm_study.loop.motion import settling_times_s
 from ssm_study.loop.peers.peer import replace_neurons_by_slopes
 from ssm_study.loop.peers.pi import tyreus_luyben_pi
-from ssm_study.loop.regulation import Loop
+from ssm_study.loop.regulation import LoopExperiment
 from ssm_study.models.structured import Model
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest
 
 
 def textbook_pi_columns(
-    plant: Plant | None, model: Model, loop: Loop, seed: int
+    plant: Plant | None, model: Model, loop: LoopExperiment, seed: int
 ) -> dict[str, float | int | None]:
     """Table columns on the closed loop of a simulated plant with a PI controller tuned by Tyreus
     and Luyben's rule.

@@ -1,5 +1,5 @@
-"""Trajectories of states and inputs with which the model's output follows a reference as closely as
-it can.
+"""Trajectories of a model's states and inputs whose output follows a reference as closely as
+possible.
 
 A contracting loop converges to any trajectory of its own model: `v = S_u(u*)` by linear-quadratic
 tracking, then `u* = S_u^{-1}(v)`, dead zone included (docs/closed_loop.md). Source: [Z26] Theorem 3
@@ -36,7 +36,8 @@ EQUILIBRIUM_TOLERANCE = 1e-8
 
 
 def scaled_equilibrium(model: Model, output: Vector) -> tuple[Vector, Vector]:
-    """Scaled state and input of the equilibrium at which a model has a given physical output.
+    """State and input, in scaled units, of the equilibrium at which a model has a given physical
+    output.
 
     `x* = f(x*, S_u(u*)),  y = h(x*, S_u(u*))` for the recurrence f. With more inputs than outputs
     the smallest `S_u(u*)` is taken. Raises `BadRequest` when no input holds that output.
@@ -148,8 +149,8 @@ def reference_tracking_trajectory(model: SSM, reference: Reference) -> Plan:
 
 
 def _system_of_input_changes(system: StateSpace, idle_directions: Matrix) -> StateSpace:
-    """Linear system with the previous input as an added state, driven by changes of the input. Its
-    outputs are the model's and the input's part in the `idle_directions` directions."""
+    """Linear system driven by changes of the input, with the previous input as an additional state.
+    Its outputs are the model's and the input's part in the `idle_directions` directions."""
     n, m = system.b.shape
     input_identity = np.eye(m)
     state_row = [system.a, system.b]
@@ -170,7 +171,7 @@ def _system_of_input_changes(system: StateSpace, idle_directions: Matrix) -> Sta
 def feedback_trajectory(
     model: StructuredSSM, gain: Float[np.ndarray, "m n"], reference: Reference
 ) -> Plan:
-    """Trajectory on which a state feedback brings a model with neurons to each set point of the
+    """Trajectory of a model with neurons on which a state feedback reaches each set point of the
     reference.
 
     One row `(x*[k], u*[k])` per sample: `u* = us + K (x* - xs)` from the model's equilibrium, `(xs,
@@ -283,7 +284,8 @@ def _invert_vector_map(static_map: Scaffold, w: Matrix) -> Matrix:
 def _require_solved(
     is_reached: np.bool_, value: Vector, problem_text: str, remedy_suffix: str
 ) -> None:
-    """Raise `BadRequest` for a reference that no equilibrium or input of the model can hold."""
+    """Raise `BadRequest` for a reference that the model cannot hold, because no equilibrium or
+    input was found."""
     remedy = f"choose a reference within the reach of the inputs{remedy_suffix}"
     rounded_value = np.round(value, 4)
     rounded = rounded_value.tolist()
@@ -296,7 +298,7 @@ def _solve_newton(
     start: Vector,
     tolerance: float,
 ) -> Vector:
-    """Root of a vector function, found by damped Newton steps.
+    """Root of a vector function, found by Newton's method with damped steps.
 
     The last point where no step improves.
     """

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.plants.integration import runge_kutta
+from ssm_study.plants.integration import integrate_runge_kutta
 from ssm_study.plants.plant import (
     Disturbances,
     Equilibrium,
@@ -76,7 +76,7 @@ class CascadedTanks(Plant):
         upper = np.full_like(y0, self.equilibrium().x[0])
         return np.concatenate([upper, y0], axis=1)
 
-    def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
+    def next_states(self, x: States, u: Inputs, d: Disturbances) -> States:
         pumped = self.pump_gain * np.maximum(u[:, 0], 0.0)  # a pump does not suck
         substep_s = self.step_s / self.substeps
 
@@ -85,7 +85,7 @@ class CascadedTanks(Plant):
             return self._level_rates(levels, pumped, d[:, 0])
 
         for _ in range(self.substeps):  # the brim is enforced after each substep
-            x = runge_kutta(level_rates, x, substep_s, 1)
+            x = integrate_runge_kutta(level_rates, x, substep_s, 1)
             x = np.clip(x, 0.0, self.brim_v)
         return x
 

@@ -126,7 +126,7 @@ class DCMotor(Plant):
         still = np.zeros_like(y0)
         return np.concatenate([still, y0, y0, still], axis=1)
 
-    def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
+    def next_states(self, x: States, u: Inputs, d: Disturbances) -> States:
         # Imported here: numba takes a while to load, and describing a motor does without.
         from ssm_study.plants.dc_motor_kernel import advance_batch
 

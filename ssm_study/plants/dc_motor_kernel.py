@@ -65,9 +65,9 @@ def _evaluate_series(c, j, t):
 
 @compile_with_numba
 @no_type_check
-def _mode_margin(p, c, t, load, body, mode):
-    """Distance of a body's motion from the end of its friction mode (sticking or sliding); negative
-    after the end."""
+def _friction_mode_margin(p, c, t, load, body, mode):
+    """Distance of a body's motion from the end of its friction mode (sticking or sliding), by sign:
+    negative once the mode has ended."""
     if mode != 0:
         return mode * _evaluate_series(c, 1 + body, t)
     tm, tl = _torques_without_coulomb_friction(
@@ -86,13 +86,13 @@ def _mode_margin(p, c, t, load, body, mode):
 def _mode_switch_time(p, c, h, load, body, mode):
     """Time at which a body changes between sticking and sliding, by bisection; beyond the step if
     it does not change."""
-    if _mode_margin(p, c, h, load, body, mode) >= 0.0:
+    if _friction_mode_margin(p, c, h, load, body, mode) >= 0.0:
         return 2.0 * h
     low = 0.0
     high = h
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        if _mode_margin(p, c, middle, load, body, mode) >= 0.0:
+        if _friction_mode_margin(p, c, middle, load, body, mode) >= 0.0:
             low = middle
         else:
             high = middle

@@ -10,9 +10,9 @@ States = Float[np.ndarray, "N n"]
 Rate = Callable[[States], States]
 
 
-def runge_kutta(rate: Rate, x: States, step_s: float, substeps: int) -> States:
+def integrate_runge_kutta(rate: Rate, x: States, step_s: float, substeps: int) -> States:
     """Integrate a differential equation over one sampling period by the classical Runge-Kutta
-    method.
+    method of order four.
 
     Fourth order where the rate is smooth.
     """

@@ -78,8 +78,8 @@ class Plant(ABC):
 
     @property
     def input_clock_s(self) -> float:
-        """Default for the shortest time, in seconds, for which an excitation signal holds one
-        level."""
+        """Default of the shortest holding time of an excitation level (clock period), in
+        seconds."""
         return 10 * self.step_s
 
     @property
@@ -96,8 +96,8 @@ class Plant(ABC):
         return False
 
     def stop(self) -> None:  # noqa: B027  a simulated plant needs nothing
-        """Switch a physical plant off; called at the end of every closed-loop run. Called at the
-        end of every closed loop, also after an error."""
+        """Switch a physical plant off at the end of a closed-loop run. Called at the end of every
+        closed loop, also after an error."""
 
     @abstractmethod
     def equilibrium(self) -> Equilibrium:
@@ -108,8 +108,8 @@ class Plant(ABC):
         """States of a plant at given outputs, with all other states in equilibrium."""
 
     @abstractmethod
-    def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
-        """Advance a plant's states by one sampling period under constant input and disturbance."""
+    def next_states(self, x: States, u: Inputs, d: Disturbances) -> States:
+        """States of a plant one sampling period later, under constant input and disturbance."""
 
     def disturbance_effect(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
         """Raise `BadRequest`: a simulated plant has no input for measured disturbances, only an
@@ -143,7 +143,7 @@ class Plant(ABC):
             x[:, k] = state
             y[:, k] = self.output(state)  # y[k] is read before u[k] acts
             disturbance = no_disturbance if d is None else d[:, k]
-            state = self.advance(state, u[:, k], disturbance)
+            state = self.next_states(state, u[:, k], disturbance)
         return x, y
 
 
@@ -151,7 +151,8 @@ def field_property(field: str, factors: tuple[int, ...] = ()) -> Any:
     """Make a property that returns a field of the plant, multiplied by given constants."""
 
     def read_field(plant: Plant) -> Any:
-        """Value of an attribute of the plant, or its products with constant factors."""
+        """Value of an attribute of the plant, or the value multiplied by each of several
+        constants."""
         value = getattr(plant, field)
         if not factors:
             return value

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssm_study.plants.integration import runge_kutta
+from ssm_study.plants.integration import integrate_runge_kutta
 from ssm_study.plants.plant import (
     Disturbances,
     Equilibrium,
@@ -90,7 +90,7 @@ class QuadrupleTank(Plant):
         lower = y0 / self.sensor_v_per_cm
         return np.concatenate([lower, upper], axis=1)
 
-    def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
+    def next_states(self, x: States, u: Inputs, d: Disturbances) -> States:
         into = self._pump_flows(u)
         into[:, :2] += d
 
@@ -98,7 +98,7 @@ class QuadrupleTank(Plant):
             """Time derivatives of the four water levels under constant pump input."""
             return self._level_rates(levels, into)
 
-        levels = runge_kutta(level_rates, x, self.step_s, self.substeps)
+        levels = integrate_runge_kutta(level_rates, x, self.step_s, self.substeps)
         return np.maximum(levels, 0.0)
 
     def _level_rates(self, h: States, into: States) -> States:

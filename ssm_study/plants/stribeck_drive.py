@@ -77,7 +77,7 @@ class StribeckDrive(Plant):
     def equilibrium_states(self, y0: Outputs) -> States:
         return np.concatenate([np.zeros_like(y0), y0], axis=1)
 
-    def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
+    def next_states(self, x: States, u: Inputs, d: Disturbances) -> States:
         h = self.step_s / self.substeps
         keep = np.exp(-h / self.current_lag_s)
         drive = np.clip(u[:, 0], -self.current_limit_a, self.current_limit_a)

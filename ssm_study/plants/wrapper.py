@@ -21,14 +21,14 @@ def _wrapped_plant_property(name: str) -> Any:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wrapper(Plant):
-    """Base class of plants that wrap another plant and change a part of its behaviour, such as its
+class PlantWrapper(Plant):
+    """Base class of plants that wrap another plant and change a part of its behaviour, such as the
     input.
 
-    A wrapper with `memory` appends states of its own.
+    A wrapper with `memory_channels` appends states of its own.
     """
 
-    memory: ClassVar[tuple[Channel, ...]] = ()
+    memory_channels: ClassVar[tuple[Channel, ...]] = ()
     plant: Plant
 
     step_s = _wrapped_plant_property("step_s")
@@ -45,11 +45,11 @@ class Wrapper(Plant):
 
     @property
     def states(self) -> tuple[Channel, ...]:
-        return (*self.plant.states, *self.memory)
+        return (*self.plant.states, *self.memory_channels)
 
     def initial_memory(self) -> Float[np.ndarray, "r"]:
         """Initial values of the states that a plant wrapper adds to the wrapped plant."""
-        return np.zeros(len(self.memory))
+        return np.zeros(len(self.memory_channels))
 
     def equilibrium(self) -> Equilibrium:
         rest = self.plant.equilibrium()
@@ -66,9 +66,9 @@ class Wrapper(Plant):
         inner = len(self.plant.states)
         return x[:, :inner], x[:, inner:]
 
-    def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
+    def next_states(self, x: States, u: Inputs, d: Disturbances) -> States:
         inner, memory = self.split_states(x)
-        advanced = self.plant.advance(inner, self.applied_input(memory, u), d)
+        advanced = self.plant.next_states(inner, self.applied_input(memory, u), d)
         return np.concatenate([advanced, self.next_memory(memory, u)], axis=1)
 
     def applied_input(self, memory: Memory, u: Inputs) -> Inputs:  # noqa: ARG002
@@ -84,7 +84,7 @@ class Wrapper(Plant):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SaturatedInput(Wrapper):
+class SaturatedInput(PlantWrapper):
     """Plant wrapper that limits the input, `x+ = f(x, clip(u, lower, upper), d)`.
 
     Limits in the input's unit, one number or one per input.
@@ -111,7 +111,7 @@ class SaturatedInput(Wrapper):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DelayedInput(Wrapper):
+class DelayedInput(PlantWrapper):
     """Plant wrapper that delays the input by whole samples, `x+ = f(x, u[k - samples], d)`.
 
     The inputs that are under way are the appended states.
@@ -123,8 +123,8 @@ class DelayedInput(Wrapper):
         require_at_least(1, "samples", self.samples, "leave the wrapper out for none")
 
     @property
-    def memory(self) -> tuple[Channel, ...]:  # type: ignore[override]  # nothing elsewhere
-        """Names and units of the states in which a dead time stores past inputs."""
+    def memory_channels(self) -> tuple[Channel, ...]:  # type: ignore[override]  # nothing elsewhere
+        """Names and units of the additional states in which a dead time stores past inputs."""
         channels = []
         for age in range(self.samples):
             for channel in self.inputs:

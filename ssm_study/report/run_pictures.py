@@ -15,7 +15,7 @@ from ssm_study.api.pictures.poles import poles_picture
 from ssm_study.api.pictures.residual_correlation import residual_correlation_picture
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.export.set_points import missing_set_points_reason
-from ssm_study.loop.regulation import IdentifiedPlant, Loop, has_direct_feedthrough
+from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment, has_direct_feedthrough
 from ssm_study.report.study_folder import NothingToDraw, RunFolder, StudyFolder
 from ssm_study.robustness.coverage import measure_error_spectra
 from ssm_study.robustness.margin_by_frequency import margin_curves
@@ -135,7 +135,7 @@ def picture_of_set_point_step(run: RunFolder) -> Picture:
     plant = _identified_plant(model, test)
     recorded = [signal.values for signal in excitation.signals("input")]
     loop = (
-        Loop()
+        LoopExperiment()
         .with_default_limits(model.scale.append_equilibrium_input(recorded))
         .with_default_horizon(model)
     )

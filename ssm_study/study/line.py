@@ -72,7 +72,7 @@ class Study(Task["Specification"]):
 
         Recorded data are read for it.
         """
-        from ssm_study.data.simulated import SimulatedData, TrainingAmplitudeOnly
+        from ssm_study.data.simulated import SimulatedData, TrainingAmplitudeWarning
 
         # Imported here: a run that finds itself finished needs no parts.
         from ssm_study.study.specification import Specification
@@ -91,7 +91,7 @@ class Study(Task["Specification"]):
         elif specification.plant and specification.excitation.amplitude is not None:
             other_records = "validation, test and trials are at the plant's own amplitude"
             message = f"excitation.amplitude moves the training records alone; {other_records}."
-            warnings.warn(message, TrainingAmplitudeOnly, 2)
+            warnings.warn(message, TrainingAmplitudeWarning, 2)
         if self.trains_on_accelerator(specification, settings):
             from ssm_study.training.saving import build_trainer
 

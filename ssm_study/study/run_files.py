@@ -17,7 +17,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.durable import read_limited_bytes
 from ssm_study.engine.records import VERSION
 from ssm_study.evidence.metrics import Judgement, collect_findings
-from ssm_study.loop.regulation import IdentifiedPlant, Loop, has_direct_feedthrough
+from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment, has_direct_feedthrough
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require
 from ssm_study.renamed import rename_old_settings
@@ -192,8 +192,8 @@ class RunFiles:
     @property
     def excitation(self) -> dict[str, float]:
         """Settings for the next excitation signal of the same plant, from a run's input range and
-        response time. They are those of `OwnPlantRecord`, with equilibrium input and sampling
-        time."""
+        response time. They are those of `IdentificationExperiment`, with equilibrium
+        input and sampling time."""
         problem = "has several inputs"
         remedy = "give --lower and the others for each"
         require(self.model.scale.inputs == 1, "--after", self.path, problem, remedy)
@@ -226,7 +226,7 @@ class RunFiles:
         return tuple(angles[:PEAKS])
 
     @property
-    def loop(self) -> Loop:
+    def loop(self) -> LoopExperiment:
         """Settings of the closed-loop experiment of a run. Without a plant, its input limits are
         the input range of the log."""
         loop = self.specification.loop

@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # a request is read without what it takes to fulfil it
     from ssm_study.bounds.reduction import Reduction
     from ssm_study.data.excitations.excitation import Excitation
     from ssm_study.data.recorded import RecordedSource
-    from ssm_study.loop.regulation import Loop
+    from ssm_study.loop.regulation import LoopExperiment
     from ssm_study.models.spec import ModelSpec
     from ssm_study.plants.plant import Plant
     from ssm_study.synthesis.design import Synthesis
@@ -46,7 +46,7 @@ class Specification:
     training: "Training"
     reduction: "Reduction"
     synthesis: "Synthesis"
-    loop: "Loop"
+    loop: "LoopExperiment"
     seed: int
     loop_seed: int
     refine: int | list[str] | None

@@ -36,8 +36,8 @@ import pytest
 from loop_cases import BALLS, motor, motor_model, motor_record
 from ssm_study.data.readers.reader import read_table
 from ssm_study.loop.comparison import Comparison
-from ssm_study.loop.regulation import Loop
-from ssm_study.loop.peers.peer import Identified
+from ssm_study.loop.regulation import LoopExperiment
+from ssm_study.loop.peers.peer import IdentificationResult
 from ssm_study.refusal import BadRequest
 
 
@@ -48,8 +48,8 @@ def {FOUND}(tmp_path):
     path.write_bytes(path.read_bytes()[:40])
     with pytest.raises(BadRequest, match=r"np\\.savez"):
         read_table(path, wanted)
-    known = Identified(model=motor_model(), balls=BALLS, validation=(motor_record(),))
-    loop = Loop(initial_conditions=2, horizon_s=0.5)
+    known = IdentificationResult(model=motor_model(), balls=BALLS, validation=(motor_record(),))
+    loop = LoopExperiment(initial_conditions=2, horizon_s=0.5)
     (row,) = Comparison(controllers=("proportional",)).rows(motor(), known, loop, 0)
     assert row["controller"] == "proportional" and row["initial_conditions"] == 2, row
 """

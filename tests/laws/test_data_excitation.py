@@ -9,10 +9,10 @@ import pytest
 from plants_cases import choices, from_yaml
 
 from ssm_study.data.excitations.excitation import PRBS, SignalRequest
-from ssm_study.data.excitations.file_signal import OwnSignal
+from ssm_study.data.excitations.file_signal import FileSignal
 from ssm_study.data.excitations.multisine import Multisine
 from ssm_study.data.metrics import (
-    SlopesNotIdentifiable,
+    UnidentifiableSlopesWarning,
     input_coverage,
     persistency_order,
     warn_if_two_level,
@@ -107,7 +107,7 @@ def test_coverage_tells_two_levels_from_many() -> None:
     assert input_coverage(many) > 0.8
     assert input_coverage(two) == pytest.approx(0.1)
     assert warn_if_two_level(many) is None
-    with pytest.warns(SlopesNotIdentifiable, match="armature_voltage: 2 levels only"):
+    with pytest.warns(UnidentifiableSlopesWarning, match="armature_voltage: 2 levels only"):
         warn_if_two_level(two)
 
 
@@ -204,7 +204,7 @@ def test_a_file_is_taken_as_it_is(tmp_path: Path) -> None:
     path = tmp_path / "u.csv"
     table.to_csv(path, index=False)
     column = {"path": str(path), "column": "volt"}
-    own_signal = OwnSignal(**column)
+    own_signal = FileSignal(**column)
     rng = np.random.default_rng(0)
     u = own_signal.signal(ONE, rng)[:, 0]
     start = position_of(u[0], values)
@@ -219,7 +219,7 @@ def test_a_file_is_taken_as_it_is(tmp_path: Path) -> None:
         start = position_of(applied[0], values)
         expected = values[start : start + 1000]
         np.testing.assert_allclose(applied, expected, atol=1e-12)
-    scaled = OwnSignal(amplitude=1.0, **column)
+    scaled = FileSignal(amplitude=1.0, **column)
     rng = np.random.default_rng(0)
     size = np.abs(scaled.signal(ONE, rng))
     assert size.max() <= 1.0

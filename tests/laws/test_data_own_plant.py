@@ -17,7 +17,7 @@ from ssm_study.data.excitations.user_excitation import (
     PERIOD_IN_SETTLINGS,
     PERIODS,
     SINE_AMPLITUDES,
-    OwnPlantRecord,
+    IdentificationExperiment,
 )
 from ssm_study.data.recorded import RecordedData
 from ssm_study.models.identified import SSM
@@ -46,7 +46,7 @@ def test_the_signal(
     settle_s = samples * step_s * (1 + 1e-9)
     limits = {"lower": lower, "upper": upper, "rest": rest}
     times = {"step_s": step_s, "settle_s": settle_s}
-    record = OwnPlantRecord(**limits, **times, seed=seed)
+    record = IdentificationExperiment(**limits, **times, seed=seed)
     u = record.signal()
     smallest = u.min()
     assert lower <= smallest < u.max() <= upper
@@ -106,7 +106,7 @@ def lag_model(gain: float) -> SSM:
 def log_of(folder: Path, *more: float) -> DataSet:
     """The log of a lag driven by the record, with noise; `more` inputs follow before the last
     rest."""
-    own = OwnPlantRecord(**SIGNAL, **TIMES)
+    own = IdentificationExperiment(**SIGNAL, **TIMES)
     added_levels = np.repeat(more, 10)
     rest_samples = 60 * bool(more)
     added_rest = np.full(rest_samples, 1.0)
@@ -145,7 +145,7 @@ HIDDEN = (0.3, 0.9)  # rad/sample
 def log_with_sines(folder: Path, hidden: float) -> DataSet:
     """The log of a lag behind a filter of gain `1 + hidden` at the first of two frequencies, driven
     by the record with sines at both."""
-    own = OwnPlantRecord(**SIGNAL, **TIMES, sines=HIDDEN)
+    own = IdentificationExperiment(**SIGNAL, **TIMES, sines=HIDDEN)
     u = own.signal()
     moved = u - 1
     frequency = HIDDEN[0] / np.pi
@@ -279,4 +279,4 @@ SOUND_TIMES = {"step_s": 0.1, "settle_s": 5.0}
 def test_refusals(changed: dict[str, float], words: str) -> None:
     sound = SOUND_LEVELS | SOUND_TIMES
     with pytest.raises(BadRequest, match=words):
-        OwnPlantRecord(**(sound | changed))
+        IdentificationExperiment(**(sound | changed))

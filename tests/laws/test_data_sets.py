@@ -11,7 +11,7 @@ from plants_cases import choices, from_yaml
 
 from ssm_study.cli.from_python import compose_configuration
 from ssm_study.data.assembly import dataset_from_tensors, dataset_to_tensors
-from ssm_study.data.simulated import TrainingAmplitudeOnly, simulate_mismatch_records
+from ssm_study.data.simulated import TrainingAmplitudeWarning, simulate_mismatch_records
 from ssm_study.signals import DataSet
 from ssm_study.study.line import STUDY
 
@@ -88,11 +88,12 @@ def test_an_amplitude_of_the_excitation_moves_the_training_records_alone_and_say
         np.testing.assert_array_equal(one.u, other.u)
     asked = compose_configuration(["experiment=smoke", "excitation.amplitude=1.0"])
     with pytest.warns(
-        TrainingAmplitudeOnly, match="validation, test and trials are at the plant's own amplitude"
+        TrainingAmplitudeWarning,
+        match="validation, test and trials are at the plant's own amplitude",
     ):
         STUDY.build_request(STUDY.settings(asked))
     with warnings.catch_warnings():
-        warnings.simplefilter("error", TrainingAmplitudeOnly)
+        warnings.simplefilter("error", TrainingAmplitudeWarning)
         dict_config = compose_configuration(["experiment=smoke"])
         STUDY.build_request(STUDY.settings(dict_config))
 

@@ -121,7 +121,7 @@ def test_there_are_commands_of_every_kind() -> None:
 
 
 @pytest.mark.filterwarnings(
-    "ignore::ssm_study.data.metrics.SlopesNotIdentifiable"
+    "ignore::ssm_study.data.metrics.UnidentifiableSlopesWarning"
 )  # one page shows it
 @pytest.mark.parametrize(
     "command", COMMANDS, ids=lambda command: f"{COMMANDS[command]}: {command[:70]}"

@@ -21,7 +21,7 @@ from ssm_study.study.stages.synthesis import SYNTHESIS
 ROOT = Path(__file__).resolve().parents[2]
 SIMULATED_MOTOR = ("ssm_study.plants.dc_motor.DCMotor", "ssm_study.data.simulated.SimulatedData")
 TRAINED_MODEL = ("ssm_study.models.spec.SSMSpec", "ssm_study.training.training.Training")
-LOOP_OF_MOTOR = ("ssm_study.plants.dc_motor.DCMotor", "ssm_study.loop.regulation.Loop")
+LOOP_OF_MOTOR = ("ssm_study.plants.dc_motor.DCMotor", "ssm_study.loop.regulation.LoopExperiment")
 TARGETS = {
     DATASET.name: SIMULATED_MOTOR,
     MODEL.name: TRAINED_MODEL,

@@ -12,7 +12,7 @@ from ssm_study.data.readers.reader import Reader
 from ssm_study.family import Family
 from ssm_study.loop import peers
 from ssm_study.loop.controller import Controller
-from ssm_study.loop.peers.peer import Peer
+from ssm_study.loop.peers.peer import ComparisonMethod
 from ssm_study.models import baselines, bilinear, scaffolds
 from ssm_study.models.identified import Simulator
 from ssm_study.models.scaffolds.scaffold import Scaffold
@@ -21,7 +21,7 @@ from ssm_study.models.spec import ModelSpec
 from ssm_study.plants.plant import Plant
 from ssm_study.synthesis.design import Synthesis
 
-FOUND_BY_NAME: list[Any] = [Scaffold, Simulator, Reader, Peer]
+FOUND_BY_NAME: list[Any] = [Scaffold, Simulator, Reader, ComparisonMethod]
 NAMED_IN_YAML: list[Any] = [Plant, Excitation, Trainable, ModelSpec, Controller, Synthesis]
 
 
@@ -62,7 +62,7 @@ def test_members_are_those_of_the_room() -> None:
     assert simulator["bilinear"] is bilinear.Bilinear
     reader = Reader.members(readers)
     assert {"", ".csv", ".txt", ".mat", ".mcap", ".parquet", ".xlsx"} < set(reader)
-    peer = Peer.members(peers)
+    peer = ComparisonMethod.members(peers)
     assert {"uncontrolled", "pi", "lqg", "auto"} < set(peer)
 
 

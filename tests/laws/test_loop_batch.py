@@ -10,11 +10,11 @@ from loop_cases import motor, motor_design, motor_model, random_model
 from ssm_study.loop.controller import ObserverFeedback, Uncontrolled
 from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.loop.reference import StepReference
-from ssm_study.loop.regulation import IdentifiedPlant, Loop
+from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment
 from ssm_study.loop.rollout import STAYED, simulate_closed_loop
 from ssm_study.plants.disturbance import PeriodicDisturbance, StepDisturbance
 
-LOOP = Loop(horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5)
+LOOP = LoopExperiment(horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5)
 
 
 def controller() -> ObserverFeedback:
@@ -29,7 +29,7 @@ SIGNALS = ("u", "y", "measured", "estimate", "states")
 
 @pytest.mark.parametrize("reference", REFERENCES)
 def test_a_batch_is_its_rows(reference):
-    loop = Loop(
+    loop = LoopExperiment(
         horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5, reference=reference
     )
     y0, noise = loop.draw_starts_and_noise(motor(), seed=1)
@@ -85,7 +85,7 @@ def test_the_loop_is_the_equations_written_out():
         x_hat = driven + correction * error
         applied = np.array([[u]])
         no_disturbance = np.zeros((1, 1))
-        x = motor().advance(x, applied, no_disturbance)
+        x = motor().next_states(x, applied, no_disturbance)
 
 
 def test_the_seed_decides_the_draw_and_nothing_else_does():
@@ -102,7 +102,7 @@ def test_the_seed_decides_the_draw_and_nothing_else_does():
 
 
 def test_noise_has_the_stated_variance():
-    loop = Loop(horizon_s=5.0, measurement_noise_variance=0.02, initial_conditions=100)
+    loop = LoopExperiment(horizon_s=5.0, measurement_noise_variance=0.02, initial_conditions=100)
     conditions = loop.draw_starts_and_noise(motor(), seed=0)
     noise = conditions[1]
     variance = noise.var()
@@ -111,7 +111,7 @@ def test_noise_has_the_stated_variance():
 
 
 def test_limits_hold_and_the_observer_knows_them():
-    limited = Loop(
+    limited = LoopExperiment(
         horizon_s=0.6,
         measurement_noise_variance=0.0,
         initial_conditions=5,
@@ -133,10 +133,10 @@ def test_limits_hold_and_the_observer_knows_them():
 
 def test_the_disturbance_reaches_the_plant_and_not_the_model():
     disturbance = StepDisturbance(size=0.02, at_s=0.3)
-    pushed = Loop(
+    pushed = LoopExperiment(
         horizon_s=0.6, measurement_noise_variance=0.0, initial_conditions=3, disturbance=disturbance
     )
-    quiet = Loop(horizon_s=0.6, measurement_noise_variance=0.0, initial_conditions=3)
+    quiet = LoopExperiment(horizon_s=0.6, measurement_noise_variance=0.0, initial_conditions=3)
     pushed_runs = pushed.run_design(motor(), motor_model(), motor_design(), seed=2)
     quiet_runs = quiet.run_design(motor(), motor_model(), motor_design(), seed=2)
     pushed_y = pushed_runs.controlled.y
@@ -183,7 +183,7 @@ def test_the_units_of_input_and_output_change_nothing():
         changed_scale = replace(scale, input_scale=input_scale, output_scale=output_scale)
         model = replace(motor_model(), scale=changed_scale)
         plant = IdentifiedPlant.from_model(model)
-        loop = Loop(initial_conditions=3, horizon_s=1.0)
+        loop = LoopExperiment(initial_conditions=3, horizon_s=1.0)
         law = ObserverFeedback.from_design(model, motor_design())
         loop_runs = loop.run_on_plant(plant, law, 0)
         run = loop_runs.controlled

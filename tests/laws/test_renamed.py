@@ -21,7 +21,7 @@ from ssm_study.durable import (
 )
 from ssm_study.engine.records import CORRUPT, parse_record, read_record, write_record
 from ssm_study.refusal import BadRequest
-from ssm_study.renamed import OldName, Withdrawn
+from ssm_study.renamed import OldNameWarning, Withdrawn
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ROOT / "ssm_study"
@@ -40,7 +40,7 @@ def test_an_old_module_is_the_new_one(old: str) -> None:
     assert not place.with_suffix(".py").exists(), "the old name is in use: take the entry out"
     assert find_spec(f"ssm_study.{renamed.MODULES[old]}") is not None
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", OldName)
+        warnings.simplefilter("ignore", OldNameWarning)
         module = import_module(f"ssm_study.{old}")
     assert module is import_module(f"ssm_study.{renamed.MODULES[old]}")
 
@@ -52,7 +52,7 @@ def test_an_old_name_is_the_new_object(old: str) -> None:
     assert present in vars(import_module(f"ssm_study.{place}"))
     module = import_module(f"ssm_study.{holder}")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", OldName)
+        warnings.simplefilter("ignore", OldNameWarning)
         assert getattr(module, name) is getattr(import_module(f"ssm_study.{place}"), present)
 
 
@@ -132,7 +132,7 @@ def test_a_method_that_a_stranger_overrides_by_its_old_name_is_called() -> None:
 
     methods = {"old_present": "present"}
     renamed.support_old_methods(Base, methods)
-    with pytest.warns(OldName, match=r"Theirs\.old_present is now Theirs\.present"):
+    with pytest.warns(OldNameWarning, match=r"Theirs\.old_present is now Theirs\.present"):
 
         class Theirs(Ours):
             def old_present(self) -> str:

@@ -17,7 +17,7 @@ import yaml
 from ssm_study.cli.from_python import compose_configuration
 from ssm_study.loop.peers.pi import PI
 from ssm_study.loop.reference import StepReference
-from ssm_study.loop.regulation import Loop
+from ssm_study.loop.regulation import LoopExperiment
 from ssm_study.refusal import BadRequest
 from ssm_study.study.specification import Specification
 
@@ -59,7 +59,7 @@ class FakeBoard:
         if self.now + seconds > self.interrupted_at:
             raise KeyboardInterrupt
         self.now += seconds
-        self.state = self.plant.advance(self.state, np.array([[self.duty]]), np.zeros((1, 1)))
+        self.state = self.plant.next_states(self.state, np.array([[self.duty]]), np.zeros((1, 1)))
 
 
 @pytest.fixture
@@ -126,7 +126,7 @@ def test_a_pi_regulates_the_board_within_its_limits(plant: Any, fake: FakeBoard)
     law = PI.for_plant(real, gain=4.0, integral_s=200.0)
     reference = StepReference(before=8.0, after=-5.0, at_s=1000.0)
     asked = {"reference": reference, "horizon_s": 2000.0}
-    loop = Loop(initial_conditions=1, input_lower=0.0, input_upper=100.0, **asked)
+    loop = LoopExperiment(initial_conditions=1, input_lower=0.0, input_upper=100.0, **asked)
     loop_runs = loop.run_on_plant(real, law, seed=0)
     run = loop_runs.controlled
     duties = np.array(fake.sent)[:, 1]
@@ -144,14 +144,14 @@ def test_the_heater_is_off_whatever_ends_it(cause: type, plant: Any, fake: FakeB
     real = replace(plant, hardware=True)
 
     class Failing(PI):
-        def advance(self, *asked: Any) -> Any:
+        def next_states(self, *asked: Any) -> Any:
             if len(fake.sent) == 3 and cause is not KeyboardInterrupt:
                 raise cause
-            return super().advance(*asked)
+            return super().next_states(*asked)
 
     fake.interrupted_at = 25.0 if cause is KeyboardInterrupt else np.inf
     law = Failing(gain=4.0, integral_s=200.0, input_equilibrium=40.0, step_s=STEP_S)
-    loop = Loop(initial_conditions=1, horizon_s=200.0)
+    loop = LoopExperiment(initial_conditions=1, horizon_s=200.0)
     with pytest.raises(cause):
         loop.simulate(real, law, np.array([[40.0]]), np.zeros((1, 20, 1)))
     assert len(fake.sent) == 4  # three samples, then off
@@ -205,5 +205,5 @@ def test_many_cases_at_once_are_refused_before_anything_is_heated(
     one = replace(asked, loop=loop, data=replace(asked.data, trials=False))
     one.refuse_excessive_sizes()
     with pytest.raises(BadRequest, match="a board runs one case at a time"):
-        asked.plant.advance(np.zeros((2, 2)), np.zeros((2, 1)), np.zeros((2, 1)))
+        asked.plant.next_states(np.zeros((2, 2)), np.zeros((2, 1)), np.zeros((2, 1)))
     assert not fake.sent

@@ -62,7 +62,7 @@ def loop_step(
     y = model.scale.physical_output(x @ output_matrix)
     u = controller.input(estimate, y, none)
     after = advance_bilinear_states(model, x, u)
-    next_estimate = controller.advance(estimate, u, y, none)
+    next_estimate = controller.next_memory(estimate, u, y, none)
     scaled_input = model.scale.scaled_input(u)
     return after, next_estimate, scaled_input
 

@@ -165,7 +165,7 @@ def test_c_with_neurons_and_two_loads(tmp_path: Path) -> None:
     observer_feedback_gains = Gains(**gains)
     law = ObserverFeedback(model=model, gains=observer_feedback_gains)
     reference = model.scale.output_equilibrium[None]
-    plan = law.reference_targets(reference)
+    plan = law.target_trajectory(reference)
     target = plan[0]
     memory = law.initial_memory(1)
     x = np.zeros(3)
@@ -173,7 +173,7 @@ def test_c_with_neurons_and_two_loads(tmp_path: Path) -> None:
     for d in far_disturbance(model, 20):
         r = model.scale.output_equilibrium
         u, x = device.compute_step(x, y, r, d)
-        memory = law.advance(memory, u[None], y[None], target, d)
+        memory = law.next_memory(memory, u[None], y[None], target, d)
         np.testing.assert_allclose(x, memory[0], atol=1e-9)
 
 

@@ -9,7 +9,7 @@ import pytest
 import scipy
 from test_evidence_response import LEVELS, answer, case
 
-from ssm_study.data.excitations.user_excitation import OwnPlantRecord
+from ssm_study.data.excitations.user_excitation import IdentificationExperiment
 from ssm_study.data.recorded import RecordedData
 from ssm_study.evidence.finding import EvidenceCase
 from ssm_study.evidence.records import judge_records
@@ -87,7 +87,7 @@ def test_a_record_that_ends_before_the_answer_does_says_nothing():
     assert doubts == []
 
 
-EXCITED_RECORD = OwnPlantRecord(lower=-1.2, upper=1.0, rest=0.1, step_s=0.1, settle_s=4.5)
+EXCITED_RECORD = IdentificationExperiment(lower=-1.2, upper=1.0, rest=0.1, step_s=0.1, settle_s=4.5)
 EXCITED = EXCITED_RECORD.signal()
 UNKNOWN = "whether the output rests by itself is unknown"
 

@@ -117,7 +117,7 @@ def test_the_law_is_the_python_loop(
     design = Design.load(certificate_path)
     law = ObserverFeedback.from_design(model, design)
     y, r = signals(model, channels)
-    targets = law.reference_targets(r)
+    targets = law.target_trajectory(r)
     points = set_point_equilibria(model, r)
     targets[:, : points.shape[1]] = points
     targets[:, points.shape[1] :] = r
@@ -127,7 +127,7 @@ def test_the_law_is_the_python_loop(
     for seen, target in zip(y, targets, strict=True):
         inputs = law.input(memory, seen[None], target)
         expected.append(np.clip(inputs, made.lower, made.upper))
-        memory = law.advance(memory, expected[-1], seen[None], target)
+        memory = law.next_memory(memory, expected[-1], seen[None], target)
     applied = made.recomputed_inputs(y, r)
     difference = np.abs(applied - np.concatenate(expected))
     largest_difference = difference.max()

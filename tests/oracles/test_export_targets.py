@@ -71,7 +71,7 @@ def python_loop(run: Path, y: np.ndarray, limit: float = np.inf) -> np.ndarray:
     for k, seen in enumerate(y):
         inputs = law.input(memory, seen[None], target)
         u[k] = np.clip(inputs[0], -limit, limit)
-        memory = law.advance(memory, u[k][None], seen[None], target)
+        memory = law.next_memory(memory, u[k][None], seen[None], target)
     return u
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour_columns, certificate_columns
-from ssm_study.loop.regulation import IdentifiedPlant, Loop
+from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import Linear
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
@@ -81,7 +81,7 @@ def test_the_loop_reckons_with_the_dead_time_and_without_it_does_not_settle() ->
     balls = JacobianBalls(input=jacobian_ball, output=output)
     rates = {"rate_controller": 0.08, "rate_observer": 0.1}
     synthesis = RiccatiSynthesis(input_weight=0.1, **rates)
-    loop = Loop(horizon_s=20.0, measurement_noise_variance=0.0)
+    loop = LoopExperiment(horizon_s=20.0, measurement_noise_variance=0.0)
     late_model = model.with_dead_time(LATE)
     aware_design = synthesis.design(late_model, balls)
     naive_design = synthesis.design(model, balls)

@@ -8,7 +8,7 @@ import pytest
 from loop_cases import motor, motor_design, motor_model
 
 from ssm_study.loop.metrics import behaviour_columns
-from ssm_study.loop.regulation import SAMPLES, Loop
+from ssm_study.loop.regulation import SAMPLES, LoopExperiment
 
 SHORTEST, LONGEST = SAMPLES
 RESPONSES = [(0.9, 180), (0.98, 916), (0.5, SHORTEST), (0.9999, LONGEST)]
@@ -23,20 +23,20 @@ def test_four_times_what_the_model_takes_to_spend_99_percent_of_its_response(pol
     c = np.ones((1, 2))
     linear = replace(model.linear, a=a, b=b, c=c)
     slow_model = model.with_linear_part(linear)
-    loop = Loop().with_default_horizon(slow_model)
+    loop = LoopExperiment().with_default_horizon(slow_model)
     assert loop.horizon_samples(model.step_s) == samples
-    chosen = Loop(horizon_s=2.0)
+    chosen = LoopExperiment(horizon_s=2.0)
     assert chosen.with_default_horizon(model).horizon_s == 2.0
-    short = Loop(horizon_s=1e-9)
+    short = LoopExperiment(horizon_s=1e-9)
     assert short.horizon_samples(model.step_s) == 2  # a motion
 
 
 def test_noise_that_alone_crosses_the_band_is_left_out_of_the_judgement():
     """Twice as large a band needs no such care; a band within the noise does, and says so."""
-    loop = Loop(measurement_noise_variance=0.02)
+    loop = LoopExperiment(measurement_noise_variance=0.02)
     quiet = loop.run_design(motor(), motor_model(), motor_design(), seed=0)
     assert quiet.noise_free is None
-    loop = Loop(measurement_noise_variance=20.0)
+    loop = LoopExperiment(measurement_noise_variance=20.0)
     noisy = loop.run_design(motor(), motor_model(), motor_design(), seed=0)
     columns = behaviour_columns(noisy)
     assert columns["judged_noise_free"]
@@ -50,7 +50,7 @@ def test_without_noise_there_is_nothing_to_leave_out():
     designed = motor_design()
     state_feedback = replace(designed.state_feedback, k=k)
     lost = replace(designed, state_feedback=state_feedback)
-    loop = Loop(measurement_noise_variance=0.0)
+    loop = LoopExperiment(measurement_noise_variance=0.0)
     run = loop.run_design(motor(), motor_model(), lost, seed=0)
     assert run.noise_free is None
     columns = behaviour_columns(run)

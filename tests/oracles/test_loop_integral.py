@@ -16,7 +16,7 @@ from ssm_study.loop.certified_bound import relative_bound_excess
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.loop.reference import StepReference
-from ssm_study.loop.regulation import Loop
+from ssm_study.loop.regulation import LoopExperiment
 from ssm_study.loop.trajectory import scaled_equilibrium
 from ssm_study.plants.disturbance import RampDisturbance, StepDisturbance
 from ssm_study.refusal import BadRequest
@@ -27,7 +27,7 @@ from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Gains
 
-LOADED = Loop(
+LOADED = LoopExperiment(
     horizon_s=4.0,
     measurement_noise_variance=0.0,
     reference=StepReference(before=0.0, after=8.0, at_s=0.0),
@@ -148,7 +148,7 @@ def test_limits_do_not_wind_the_integrator_up(design):
     """Away from the limits again, the loop is where the one without limits is: nothing was stored
     meanwhile."""
     rising = RampDisturbance(slope_per_s=2.0, from_s=1.0, until_s=4.0)
-    free = Loop(
+    free = LoopExperiment(
         initial_conditions=3, horizon_s=6.0, measurement_noise_variance=0.0, reference=rising
     )
     limited = replace(free, input_lower=-0.8, input_upper=1.6)
@@ -169,7 +169,9 @@ def test_a_step_that_needs_the_limit_for_a_while_is_followed(design):
     """Its value is held from within the limits, its plan is not: the input waits at the limit, and
     nothing winds up."""
     step = StepReference(before=0.0, after=8.0, at_s=1.0)
-    free = Loop(initial_conditions=3, horizon_s=5.0, measurement_noise_variance=0.0, reference=step)
+    free = LoopExperiment(
+        initial_conditions=3, horizon_s=5.0, measurement_noise_variance=0.0, reference=step
+    )
     y = np.array([8.0])
     rest_input = scaled_equilibrium(motor_model(), y)[1][0]
     held = float(rest_input) * motor_model().scale.input_scale[0]

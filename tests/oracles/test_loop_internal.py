@@ -21,7 +21,7 @@ from ssm_study.construction import construct_part
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import certificate_columns
 from ssm_study.loop.reference import StepReference
-from ssm_study.loop.regulation import Loop
+from ssm_study.loop.regulation import LoopExperiment
 from ssm_study.loop.rollout import Rollouts
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
@@ -51,7 +51,7 @@ def made(*words: str) -> Design:
     return changed_inner.design(motor_model(), BALLS)
 
 
-def simulated(loop: Loop, design: Design) -> Rollouts:
+def simulated(loop: LoopExperiment, design: Design) -> Rollouts:
     law = ObserverFeedback.from_design(motor_model(), design)
     starts_and_noise = loop.draw_starts_and_noise(motor(), seed=0)
     return loop.simulate(motor(), law, *starts_and_noise)
@@ -123,7 +123,7 @@ def test_on_the_motor_the_load_is_removed_and_without_its_mode_it_is_not(words, 
     left = {}
     laws = (words, ("step",))
     for law in laws:
-        loop = Loop(**QUIET, **TURNING, disturbance=load)
+        loop = LoopExperiment(**QUIET, **TURNING, disturbance=load)
         designed = made(*law)
         run = simulated(loop, designed)
         error = run.y - run.reference
@@ -210,7 +210,7 @@ def test_a_ramp_that_meets_a_limit_does_not_wind_up():
     """Held at the limit on the way, then free: where the loop without limits is."""
     rising = RampDisturbance(slope_per_s=2.0, from_s=1.0, until_s=4.0)
     longer = QUIET | {"horizon_s": 9.0}
-    free = Loop(**longer, reference=rising)
+    free = LoopExperiment(**longer, reference=rising)
     limited = replace(free, input_lower=-0.8, input_upper=1.6)
     loops = (limited, free)
     run, other = (simulated(loop, made("ramp")) for loop in loops)
@@ -227,7 +227,7 @@ def test_a_ramp_that_meets_a_limit_does_not_wind_up():
 
 
 def test_the_certified_bound_holds_with_a_sine():
-    run = Loop(initial_conditions=3, horizon_s=2.0)
+    run = LoopExperiment(initial_conditions=3, horizon_s=2.0)
     design = made("step", "sine(0.5Hz)")
     loop = run.run_design(motor(), motor_model(), design, seed=1)
     columns = certificate_columns(loop, design)

@@ -10,15 +10,15 @@ from structured_cases import model as with_neurons
 
 from ssm_study.loop.comparison import SITUATIONS, Comparison
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.design_grid import DesignGrid
+from ssm_study.loop.design_grid import RandomDesignTable
 from ssm_study.loop.metrics import behaviour_columns
 from ssm_study.loop.peers.lqg import lqg_controller
-from ssm_study.loop.peers.peer import Identified, build_compared_controller
+from ssm_study.loop.peers.peer import IdentificationResult, build_compared_controller
 from ssm_study.loop.peers.pi import tyreus_luyben_pi, ultimate_gain
 from ssm_study.loop.reference import StepReference
-from ssm_study.loop.regulation import IdentifiedPlant, Loop
+from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment
 from ssm_study.plants.disturbance import StepDisturbance
-from ssm_study.plants.wrapper import Wrapper
+from ssm_study.plants.wrapper import PlantWrapper
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.robustness.prediction import predict_margins
@@ -26,8 +26,8 @@ from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Gains
 
-KNOWN = Identified(model=motor_model(), balls=BALLS, validation=(motor_record(),))
-SHORT = Loop(horizon_s=0.4, measurement_noise_variance=0.02, initial_conditions=3)
+KNOWN = IdentificationResult(model=motor_model(), balls=BALLS, validation=(motor_record(),))
+SHORT = LoopExperiment(horizon_s=0.4, measurement_noise_variance=0.02, initial_conditions=3)
 WEIGHTS = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)
 SMALL = Auto(
     stretch_shares=(0.3,),
@@ -68,7 +68,7 @@ def test_pi_leaves_no_error_under_a_load():
     plant = replace(identified_plant, initial_range=initial_range)
     reference = StepReference(before=0.0, after=8.0, at_s=0.0)
     disturbance = StepDisturbance(size=-0.2, at_s=2.0)
-    loop = Loop(
+    loop = LoopExperiment(
         horizon_s=6.0, measurement_noise_variance=0.0, reference=reference, disturbance=disturbance
     )
     controller = tyreus_luyben_pi(motor_model())
@@ -83,7 +83,7 @@ def test_a_textbooks_design_knows_neurons_by_their_slopes_at_rest():
     B alone."""
     model = with_neurons()
     validation = (motor_record(),)
-    known = Identified(model=model, balls=BALLS, validation=validation)
+    known = IdentificationResult(model=model, balls=BALLS, validation=validation)
     n = model.order
     m = model.b.shape[1]
     points = 1e-6 * np.eye(n + m)
@@ -95,7 +95,7 @@ def test_a_textbooks_design_knows_neurons_by_their_slopes_at_rest():
     linearised = np.hstack([seen.a, seen.b])
     assert linearised == pytest.approx(moved, abs=1e-8)
     built, _ = build_compared_controller("lqg", motor(), known)
-    without_neurons = Identified(
+    without_neurons = IdentificationResult(
         model=known.linear_model, balls=BALLS, validation=(motor_record(),)
     )
     without = build_compared_controller("lqg", motor(), without_neurons)
@@ -103,7 +103,7 @@ def test_a_textbooks_design_knows_neurons_by_their_slopes_at_rest():
     expected = without[0].gains.k
     assert gains_k == pytest.approx(expected)
     plain = replace(known.linear_model, linear=model.linear)
-    plain_identified = Identified(model=plain, balls=BALLS, validation=(motor_record(),))
+    plain_identified = IdentificationResult(model=plain, balls=BALLS, validation=(motor_record(),))
     blind = build_compared_controller("lqg", motor(), plain_identified)
     gains_k = built.gains.k
     expected = blind[0].gains.k
@@ -158,7 +158,7 @@ def test_a_grid_of_gains_is_its_designs_one_by_one():
 def test_the_design_grid_reports_each_designs_own_margin(monkeypatch):
     # whose choice the first row is, every choice of `auto` being alike: the small one
     monkeypatch.setattr("ssm_study.loop.design_grid.Auto", lambda: SMALL)
-    design_grid = DesignGrid(designs=6, auto=SMALL)
+    design_grid = RandomDesignTable(designs=6, auto=SMALL)
     rows = design_grid.rows(motor(), KNOWN, SHORT, seed=0)
     assert len(rows) == 7
     initial_conditions = {row["initial_conditions"] for row in rows}
@@ -181,7 +181,7 @@ def test_a_design_grid_without_a_choice_of_auto_has_the_designs_alone(monkeypatc
     infeasible = riccati_synthesis.design(motor_model(), BALLS)
     assert not infeasible.feasible
     monkeypatch.setattr(Auto, "design", lambda *_: infeasible)
-    design_grid = DesignGrid(designs=6, auto=SMALL)
+    design_grid = RandomDesignTable(designs=6, auto=SMALL)
     rows = design_grid.rows(motor(), KNOWN, SHORT, seed=0)
     designs = [row["design"] for row in rows]
     expected = [1, 2, 3, 4, 5, 6]
@@ -236,14 +236,14 @@ def test_the_plants_own_pi_is_a_row_of_its_own():
     assert other[1]["integral_squared_error"] != same[1]["integral_squared_error"]
 
 
-class Undisturbed(Wrapper):
+class Undisturbed(PlantWrapper):
     """A plant that nothing acts on but its input."""
 
     disturbances = ()
 
-    def advance(self, x, u, d):  # noqa: ARG002
+    def next_states(self, x, u, d):  # noqa: ARG002
         no_disturbance = np.zeros((len(x), 1))
-        return self.plant.advance(x, u, no_disturbance)
+        return self.plant.next_states(x, u, no_disturbance)
 
 
 def test_a_plant_without_disturbance_has_no_load_rows():
@@ -258,7 +258,7 @@ def test_a_plant_without_disturbance_has_no_load_rows():
 def test_what_cannot_be_built_says_why():
     model = random_model(0, inputs=2, outputs=1)
     validation = (motor_record(),)
-    known = Identified(model=model, balls=BALLS, validation=validation)
+    known = IdentificationResult(model=model, balls=BALLS, validation=validation)
     controller, said = build_compared_controller("pi", motor(), known)
     assert controller is None
     assert "tuning rule needs one input and one output" in said["reason"]

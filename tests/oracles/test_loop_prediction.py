@@ -194,11 +194,11 @@ def test_the_radius_is_the_growth_of_the_controller_alone(seed):
     white_noise = rng.standard_normal((1, 3))
     memory = 1e-8 * white_noise
     still = np.zeros((1, 1))
-    target = law.reference_targets(still)[0]
+    target = law.target_trajectory(still)[0]
     grown = []
     for _ in range(200):
         inputs = law.input(memory, still, target)
-        following = law.advance(memory, inputs, still, target)
+        following = law.next_memory(memory, inputs, still, target)
         norm = np.linalg.norm(following)
         growth = norm / np.linalg.norm(memory)
         grown.append(np.log(growth))

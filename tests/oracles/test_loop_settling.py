@@ -8,7 +8,7 @@ import pytest
 from ssm_study.loop.metrics import (
     COLUMNS,
     measured_noise_gain,
-    pool_columns,
+    pooled_run_columns,
     settles_faster_than_open_loop,
 )
 from ssm_study.loop.motion import (
@@ -228,7 +228,7 @@ def test_the_remaining_error_is_the_mean_over_the_last_tenth():
         impulse = [24.0 * (k == first) for k in range(120)]
         run = rollouts(impulse)
         loop = loop_runs(run, 0.2)
-        columns = pool_columns([loop])
+        columns = pooled_run_columns([loop])
         expected = pytest.approx(error)
         assert columns["final_error_worst"] == expected
 
@@ -311,7 +311,7 @@ def test_the_swing_is_that_of_the_run_without_noise():
     out_of_the_band = replace(at_rest, controlled=gone, quiet=gone)
 
     loops = (at_rest, swinging_without_noise, out_of_the_band)
-    pooled = [pool_columns([loop]) for loop in loops]
+    pooled = [pooled_run_columns([loop]) for loop in loops]
     swings = [columns["swings_at_rest"] for columns in pooled]
 
     expected_swing = pytest.approx(0.5, rel=0.1)

@@ -9,7 +9,7 @@ import yaml
 from loop_cases import motor_model
 
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.regulation import Loop
+from ssm_study.loop.regulation import LoopExperiment
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.plants.stribeck_drive import StribeckDrive
@@ -70,7 +70,7 @@ def test_a_plant_with_stiction_comes_to_rest_only_under_a_stable_controller(stab
     law = ObserverFeedback.from_design(model, design)
     radius = controller_spectral_radius(model.linear, law.gains, ONES)
     assert (radius < 1) == stable
-    loop = Loop(initial_conditions=1, horizon_s=6.0)
+    loop = LoopExperiment(initial_conditions=1, horizon_s=6.0)
     start = np.full((1, 1), 1e-6)
     no_noise = np.zeros((1, 600, 1))
     run = loop.simulate(plant, law, start, no_noise)

@@ -11,7 +11,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.reference import StepReference
-from ssm_study.loop.regulation import IdentifiedPlant, Loop
+from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment
 from ssm_study.loop.trajectory import feedback_trajectory, scaled_equilibrium
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.plants.disturbance import NoDisturbance, StepDisturbance
@@ -69,7 +69,7 @@ def test_a_plan_is_the_models_own_trajectory_and_ends_at_the_set_point() -> None
 
 LOAD = StepDisturbance(size=0.1, at_s=0.5)
 STEP = StepReference(before=0.0, after=0.6, at_s=1.0)
-LOADED_LOOP = Loop(
+LOADED_LOOP = LoopExperiment(
     initial_conditions=2,
     horizon_s=6.0,
     measurement_noise_variance=0.0,
@@ -140,5 +140,5 @@ def test_the_observer_injects_inside_the_neurons(injects: bool) -> None:
     without_correction = linear_part + w @ stand.e.T
     expected = without_correction + error @ l_.T
     no_memory = np.zeros(5)
-    actual = law.advance(x_hat, u, y, no_memory)
+    actual = law.next_memory(x_hat, u, y, no_memory)
     np.testing.assert_allclose(actual, expected, atol=1e-12)

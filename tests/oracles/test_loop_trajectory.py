@@ -11,7 +11,7 @@ from loop_cases import motor, motor_design, motor_model, random_model
 
 from ssm_study.bounds.network import Network
 from ssm_study.loop.reference import FileReference, StepReference
-from ssm_study.loop.regulation import IdentifiedPlant, Loop
+from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment
 from ssm_study.loop.trajectory import (
     invert_map,
     reference_tracking_trajectory,
@@ -140,7 +140,7 @@ def test_the_loop_converges_to_any_planned_trajectory_of_its_model():
     initial_range = (-4.0, 4.0)
     plant = replace(identified_plant, initial_range=initial_range)
     reference = PeriodicDisturbance(amplitude=4.0, frequency_hz=1.0)
-    loop = Loop(horizon_s=4.0, measurement_noise_variance=0.0, reference=reference)
+    loop = LoopExperiment(horizon_s=4.0, measurement_noise_variance=0.0, reference=reference)
     loop_runs = loop.run_design(plant, model, motor_design(), seed=0)
     run = loop_runs.controlled
     plan = reference_tracking_trajectory(model, run.reference)
@@ -157,7 +157,7 @@ def test_the_loop_converges_to_any_planned_trajectory_of_its_model():
 @pytest.mark.parametrize("speed", [-6.0, 8.0])
 def test_the_true_motor_reaches_a_set_speed_within_what_the_model_misses(speed):
     reference = StepReference(before=0.0, after=speed, at_s=0.5)
-    loop = Loop(horizon_s=3.0, measurement_noise_variance=0.0, reference=reference)
+    loop = LoopExperiment(horizon_s=3.0, measurement_noise_variance=0.0, reference=reference)
     loop_runs = loop.run_design(motor(), motor_model(), motor_design(), seed=0)
     run = loop_runs.controlled
     assert run.stayed_within_bound.all()

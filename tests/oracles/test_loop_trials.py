@@ -29,7 +29,7 @@ def looped(
     rng = np.random.default_rng(0)
     shape = (samples, 1)
     reference = np.zeros(shape)
-    plan = controller.reference_targets(reference)
+    plan = controller.target_trajectory(reference)
     memory = controller.initial_memory(1)
     x = np.ones(model.order)
     u = np.zeros(shape)
@@ -44,7 +44,7 @@ def looped(
         inputs = controller.input(memory, output_now, plan[k])
         u[k] = inputs[0]
         input_now = u[k : k + 1]
-        memory = controller.advance(memory, input_now, output_now, plan[k])
+        memory = controller.next_memory(memory, input_now, output_now, plan[k])
         linear_a = model.linear.a
         linear_b = model.linear.b
         driven = linear_b @ u[k]

@@ -16,7 +16,7 @@ from ssm_study.certificates.theorems.limited_input import (
 )
 from ssm_study.loop.certified_bound import count_bound_violations
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.regulation import IdentifiedPlant, Loop
+from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment
 from ssm_study.loop.trajectory import scaled_equilibrium
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
@@ -69,7 +69,7 @@ def inputs(model: SSM, design: Design, y0: float) -> np.ndarray:
         no_input = np.zeros((1, 1))
         y = model.output_at(x, no_input)
         u = law.input(memory, y, target)
-        memory = law.advance(memory, u, y, target)
+        memory = law.next_memory(memory, u, y, target)
         mapped = model.map_input(u)
         x = model.advance(x, mapped)
         input_now = u[0, 0]
@@ -160,7 +160,7 @@ def test_the_loop_with_its_observer_obeys_the_bound_at_the_limit(pair: tuple[SSM
     saturated = certify_under_limits(design.state_feedback)
     assert saturated is not None
     input_lower = -LIMIT[0]
-    loop = Loop(
+    loop = LoopExperiment(
         horizon_s=8.0, measurement_noise_variance=0.0, input_lower=input_lower, input_upper=LIMIT[0]
     )
     law = ObserverFeedback.from_design(model, design)

@@ -97,12 +97,12 @@ def test_the_observer_is_told_the_load() -> None:
     u = model.scale.input_equilibrium[None]
     drive = model.map_input(u)
     reference = model.scale.output_equilibrium[None]
-    plan = law.reference_targets(reference)
+    plan = law.target_trajectory(reference)
     target = plan[0]
     for d in far_disturbance(model, 30):
         y = model.output_at(x, no_drive)
-        informed = law.advance(informed, u, y, target, d)
-        uninformed = law.advance(uninformed, u, y, target)
+        informed = law.next_memory(informed, u, y, target, d)
+        uninformed = law.next_memory(uninformed, u, y, target)
         load = model.disturbance_contribution(d)
         x = model.advance(x, drive) + load
     np.testing.assert_allclose(informed, x, atol=1e-12)

@@ -31,7 +31,7 @@ def test_quadruple_tank_rests_where_johansson_says_with_his_time_constants() -> 
     bumps = rest.x + 0.01 * np.eye(4)
     resting_inputs = np.tile(rest.u, (4, 1))
     no_load = np.zeros((4, 2))
-    after_a_step = plant.advance(bumps, resting_inputs, no_load)
+    after_a_step = plant.next_states(bumps, resting_inputs, no_load)
     bumped = after_a_step - rest.x
     actual = np.diag(bumped) / 0.01
     decay = -plant.step_s / t
@@ -236,7 +236,7 @@ def test_a_loops_disturbance_enters_the_first_of_the_tanks_inflows(
     close_loop = Mock(side_effect=InterruptedError)
     monkeypatch.setattr(regulation, "simulate_closed_loop", close_loop)
     disturbance = StepDisturbance(size=2.0, at_s=0.0)
-    loop = regulation.Loop(horizon_s=1.0, disturbance=disturbance)
+    loop = regulation.LoopExperiment(horizon_s=1.0, disturbance=disturbance)
     mock = Mock(spec=Controller)
     equilibrium = plant.equilibrium()
     no_disturbance = np.zeros((1, 5, 2))

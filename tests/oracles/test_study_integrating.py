@@ -66,7 +66,7 @@ def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> Non
     limit_upper = design.record["limit_upper"]
     limits = (limit_lower, limit_upper)
     reference = np.zeros((1, 1))
-    plan = law.reference_targets(reference)
+    plan = law.target_trajectory(reference)
     rest = plan[0]
     for start in (0.2, -2.0):  # from positions far beyond one step
         x = np.array([0.0, start])
@@ -75,7 +75,7 @@ def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> Non
             seen = x[None, 1:]
             inputs = law.input(memory, seen, rest)
             applied = np.clip(inputs, *limits)
-            memory = law.advance(memory, applied, seen, rest)
+            memory = law.next_memory(memory, applied, seen, rest)
             x = moved(x, float(applied[0, 0]))
         expected = [0, 0]
         assert x == pytest.approx(expected, abs=1e-3 * abs(start))

@@ -7,7 +7,7 @@ from report_runs import random_model
 from ssm_study.loop.motion import settling_times_s
 from ssm_study.loop.peers.peer import replace_neurons_by_slopes
 from ssm_study.loop.peers.pi import tyreus_luyben_pi
-from ssm_study.loop.regulation import IdentifiedPlant, Loop
+from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment
 from ssm_study.loop.textbook_pi import textbook_pi_columns
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
@@ -37,7 +37,9 @@ def test_its_columns_are_those_of_the_loop_written_out() -> None:
     """`u = gain (e + i)`, `i+ = i + step / T e` by hand, sample by sample."""
     model = lag()
     plant = IdentifiedPlant.from_model(model)
-    loop = Loop(initial_conditions=3, measurement_noise_variance=0.0).with_default_horizon(model)
+    loop = LoopExperiment(
+        initial_conditions=3, measurement_noise_variance=0.0
+    ).with_default_horizon(model)
     facts = textbook_pi_columns(plant, model, loop, seed=1)
     pi = tyreus_luyben_pi(replace_neurons_by_slopes(model))
     y0, noise = loop.draw_starts_and_noise(plant, 1)
@@ -65,7 +67,7 @@ def test_its_columns_are_those_of_the_loop_written_out() -> None:
 def test_it_starts_where_every_controller_starts() -> None:
     model = lag()
     plant = IdentifiedPlant.from_model(model)
-    loop = Loop(initial_conditions=4).with_default_horizon(model)
+    loop = LoopExperiment(initial_conditions=4).with_default_horizon(model)
     runs = loop.run_on_plant(plant, tyreus_luyben_pi(model), 7)
     times = settling_times_s(runs.rollouts_for_settling, plant.settling_band)
     settled = [time for time in times if time]
@@ -77,6 +79,6 @@ def test_it_starts_where_every_controller_starts() -> None:
 def test_nothing_is_said_where_the_rule_has_no_answer_or_there_is_no_plant() -> None:
     rng = np.random.default_rng(0)
     two = random_model(rng, "linear", 2)
-    assert textbook_pi_columns(None, lag(), Loop(), 0) == {}
+    assert textbook_pi_columns(None, lag(), LoopExperiment(), 0) == {}
     plant = IdentifiedPlant.from_model(lag())
-    assert textbook_pi_columns(plant, two, Loop(), 0) == {}
+    assert textbook_pi_columns(plant, two, LoopExperiment(), 0) == {}

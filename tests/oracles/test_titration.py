@@ -77,7 +77,7 @@ def swing_of(plant: Titration, model: SSM, design: Design) -> float:
         correction = innovation @ gains.l.T
         x_hat = x_hat @ linear.a.T + u @ linear.b.T + correction
         physical_input = model.scale.physical_input(u)
-        x = plant.advance(x, physical_input, np.zeros((3, 0)))
+        x = plant.next_states(x, physical_input, np.zeros((3, 0)))
         largest = np.abs(y).max()
         sizes.append(largest)
     largest = max(sizes[-80:])

@@ -49,7 +49,7 @@ from ssm_study.durable import (
     write_json_atomically,
 )
 from ssm_study.engine.records import read_record
-from ssm_study.plants.wrapper import Wrapper
+from ssm_study.plants.wrapper import PlantWrapper
 from ssm_study.refusal import BadRequest
 from ssm_study.study.claims import check_loops as section_loop
 from ssm_study.study.claims import check_records as section_data
@@ -231,7 +231,7 @@ def test_a_log_is_found_from_another_folder(
     assert Path.cwd() == elsewhere
 
 
-class Rig(Wrapper):
+class Rig(PlantWrapper):
     """A device, for `verify` alone."""
 
     real = True  # type: ignore[assignment]

@@ -11,14 +11,14 @@ from ssm_study.loop.comparison import Comparison
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour_columns
 from ssm_study.loop.reference import FileReference, StepReference
-from ssm_study.loop.regulation import IdentifiedPlant, Loop
+from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment
 from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Gains, JacobianBall, StateSpace
 
-LOOP = Loop(horizon_s=1.0, measurement_noise_variance=0.0)
+LOOP = LoopExperiment(horizon_s=1.0, measurement_noise_variance=0.0)
 
 
 NO_STARTS = {"initial_conditions": 0}
@@ -40,7 +40,7 @@ def test_values_out_of_range(values, names):
     in_range = {"horizon_s": 1.0, "measurement_noise_variance": 0.02}
     settings = in_range | values
     with pytest.raises(BadRequest, match=names):
-        Loop(**settings)
+        LoopExperiment(**settings)
 
 
 def test_a_controller_for_other_dimensions():
@@ -109,7 +109,7 @@ def test_a_diverging_loop_is_stopped_and_labelled():
     observer_l = design.observer.l
     gains = Gains(k=k, l=observer_l)
     wrong = ObserverFeedback(model=motor_model(), gains=gains)
-    loop = Loop(
+    loop = LoopExperiment(
         horizon_s=1.0, measurement_noise_variance=0.02
     )  # noise carries the slowest case out of the dead-zone
     result = loop.run_on_plant(motor(), wrong, seed=0)
@@ -141,7 +141,7 @@ def test_an_unstable_observer_is_stopped_before_it_overflows():
     observer_l = design.observer.l
     gains = Gains(k=k, l=1e3 * observer_l)
     wild = ObserverFeedback(model=motor_model(), gains=gains)
-    loop = Loop(horizon_s=5.0, measurement_noise_variance=0.02)
+    loop = LoopExperiment(horizon_s=5.0, measurement_noise_variance=0.02)
     loop_runs = loop.run_on_plant(motor(), wild, seed=0)
     run = loop_runs.controlled
     assert not run.stayed_within_bound.any()
@@ -177,7 +177,7 @@ def test_a_missing_reference_file(tmp_path):
 
 def test_a_reference_that_needs_more_than_the_limits_allow():
     reference = StepReference(before=0.0, after=30.0, at_s=0.0)
-    loop = Loop(
+    loop = LoopExperiment(
         horizon_s=1.0,
         measurement_noise_variance=0.0,
         reference=reference,
@@ -191,7 +191,7 @@ def test_a_reference_that_needs_more_than_the_limits_allow():
 def test_a_horizon_shorter_than_a_sample_has_two() -> None:
     horizons = (1e-6, 0.02, 0.031)
     expected = [2, 2, 3]
-    samples = [Loop(horizon_s=horizon).horizon_samples(0.01) for horizon in horizons]
+    samples = [LoopExperiment(horizon_s=horizon).horizon_samples(0.01) for horizon in horizons]
     assert samples == expected
 
 

@@ -14,7 +14,7 @@ from ssm_study.cli.from_python import compose_configuration
 from ssm_study.cli.hydra_errors import suggest_for_key
 from ssm_study.cli.main import INTERRUPTED, main
 from ssm_study.cli.run import _warning_text, configuration_folder
-from ssm_study.data.metrics import SlopesNotIdentifiable
+from ssm_study.data.metrics import UnidentifiableSlopesWarning
 from ssm_study.engine.records import write_record
 from ssm_study.refusal import BadRequest
 from ssm_study.study.line import STUDY
@@ -102,7 +102,7 @@ def test_an_interrupt_is_one_sentence_and_still_an_interrupt() -> None:
 
 def test_our_own_warning_is_a_sentence() -> None:
     told = _warning_text(
-        SlopesNotIdentifiable("two levels only"), SlopesNotIdentifiable, "facts.py", 28
+        UnidentifiableSlopesWarning("two levels only"), UnidentifiableSlopesWarning, "facts.py", 28
     )
     assert told == "ssm-study: two levels only\n"
     assert "facts.py:28" in _warning_text("of a library", UserWarning, "facts.py", 28)

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.plants.integration import runge_kutta
+from ssm_study.plants.integration import integrate_runge_kutta
 from ssm_study.plants.plant import Equilibrium, Plant, field_property
 from ssm_study.signals import Channel
 
@@ -60,13 +60,13 @@ class Adversary(Plant):
         x[:, self.reading] = y0[:, 0]
         return x
 
-    def advance(
+    def next_states(
         self,
         x: Float[np.ndarray, "N n"],
         u: Float[np.ndarray, "N 1"],
         d: Float[np.ndarray, "N q"],  # noqa: ARG002 - none acts here
     ) -> Float[np.ndarray, "N n"]:
-        return runge_kutta(lambda z: self.rate(z, u[:, 0]), x, self.step_s, self.substeps)
+        return integrate_runge_kutta(lambda z: self.rate(z, u[:, 0]), x, self.step_s, self.substeps)
 
     def output(self, x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N 1"]:
         return x[:, self.reading : self.reading + 1]

@@ -29,8 +29,8 @@ class DeadTime(Adversary):
             [(a - y) / self.second_s, (u - a) / self.first_s, still, still, still], axis=1
         )
 
-    def advance(
+    def next_states(
         self, x: Float[np.ndarray, "N 5"], u: Float[np.ndarray, "N 1"], d: Float[np.ndarray, "N q"]
     ) -> Float[np.ndarray, "N 5"]:
-        moved = super().advance(x, x[:, 4:], d)
+        moved = super().next_states(x, x[:, 4:], d)
         return np.column_stack([moved[:, :2], u[:, 0], x[:, 2:4]])

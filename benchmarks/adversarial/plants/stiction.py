@@ -31,8 +31,8 @@ class Stiction(Adversary):
         y, a, s = x.T
         return np.stack([(a - y) / self.second_s, (s - a) / self.first_s, np.zeros_like(s)], axis=1)
 
-    def advance(
+    def next_states(
         self, x: Float[np.ndarray, "N 3"], u: Float[np.ndarray, "N 1"], d: Float[np.ndarray, "N q"]
     ) -> Float[np.ndarray, "N 3"]:
         stem = np.where(np.abs(u[:, 0] - x[:, 2]) > self.stick, u[:, 0], x[:, 2])
-        return super().advance(np.column_stack([x[:, :2], stem]), u, d)
+        return super().next_states(np.column_stack([x[:, :2], stem]), u, d)

@@ -29,10 +29,10 @@ class Titration(Adversary):
         moved[:, 0] = (u - x[:, 0]) / self.lag_s
         return moved
 
-    def advance(
+    def next_states(
         self, x: Float[np.ndarray, "N 4"], u: Float[np.ndarray, "N 1"], d: Float[np.ndarray, "N q"]
     ) -> Float[np.ndarray, "N 4"]:
-        moved = super().advance(x, x[:, 3:], d)
+        moved = super().next_states(x, x[:, 3:], d)
         return np.column_stack([moved[:, 0], u[:, 0], x[:, 1:3]])
 
     def equilibrium_states(self, y0: Float[np.ndarray, "N 1"]) -> Float[np.ndarray, "N 4"]:

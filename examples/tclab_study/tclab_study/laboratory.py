@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import brentq
 
-from ssm_study.plants.integration import runge_kutta
+from ssm_study.plants.integration import integrate_runge_kutta
 from ssm_study.plants.plant import Equilibrium, Plant, field_property, refuse_wrong_signs
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
@@ -130,7 +130,7 @@ class TemperatureLab(Plant):
         x, y = zip(*found, strict=True)
         return np.concatenate(x), np.concatenate(y)
 
-    def advance(
+    def next_states(
         self, x: Float[np.ndarray, "N 2"], u: Float[np.ndarray, "N 1"], d: Float[np.ndarray, "N 1"]
     ) -> Float[np.ndarray, "N 2"]:
         if self.hardware:
@@ -143,7 +143,9 @@ class TemperatureLab(Plant):
             )
             return np.full((1, 2), board.attached().hold(float(u[0, 0]), self.step_s))
         heat = self.heater_w_per_percent * np.clip(u[:, 0], 0.0, 100.0) + d[:, 0]
-        return runge_kutta(lambda z: self._level_rates(z, heat), x, self.step_s, substeps=4)
+        return integrate_runge_kutta(
+            lambda z: self._level_rates(z, heat), x, self.step_s, substeps=4
+        )
 
     def _level_rates(
         self, x: Float[np.ndarray, "N 2"], heat: Float[np.ndarray, "N"]

@@ -21,7 +21,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.motion import settling_times_s
 from ssm_study.loop.reference import StepReference
-from ssm_study.loop.regulation import IdentifiedPlant, Loop
+from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment
 from ssm_study.loop.rollout import Rollouts
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest
@@ -69,7 +69,7 @@ def set_point_picture(
     plant: Plant | IdentifiedPlant,
     design: Design,
     model: Any,
-    loop: Loop,
+    loop: LoopExperiment,
     recorded_inputs: Inputs,
     loop_place: str,
     size: float | None = None,
@@ -95,7 +95,7 @@ def set_point_picture(
 
 
 def _simulate_step_response(
-    plant: Any, controller: ObserverFeedback, loop: Loop, size: float
+    plant: Any, controller: ObserverFeedback, loop: LoopExperiment, size: float
 ) -> Rollouts:
     """Simulate the closed loop for a step of the set point, starting at the equilibrium."""
     samples = loop.horizon_samples(plant.step_s)

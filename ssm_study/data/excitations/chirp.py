@@ -72,7 +72,7 @@ class Staircase(Excitation):
     ) -> Float[np.ndarray, "T m"]:
         up = np.linspace(-1.0, 1.0, self.levels)
         levels = np.concatenate([up, up[-2:0:-1]])
-        cycle = np.repeat(levels, self.hold_clocks * request.clock_samples)
+        cycle = np.repeat(levels, self.hold_clocks * request.clock_period_samples)
         starts = [rng.integers(len(cycle)) for _ in range(request.inputs)]
         cycles = [np.roll(cycle, -start) for start in starts]
         return np.stack([np.resize(rolled, request.samples) for rolled in cycles], axis=1)

@@ -17,9 +17,9 @@ Amplitude = float | tuple[float, ...] | list[float] | None
 
 @dataclass(frozen=True, kw_only=True)
 class SignalRequest:
-    """Number of samples, sampling period and amplitude that are requested of an excitation signal.
-    `samples` every `step_s`, offsets up to `amplitude (m,)` from equilibrium, levels held at least
-    `clock_s`."""
+    """Number of samples, sampling period, amplitude and clock period that an excitation signal
+    shall have. `samples` every `step_s`, offsets up to `amplitude (m,)` from equilibrium, levels
+    held at least `clock_s`."""
 
     samples: int
     step_s: float
@@ -32,9 +32,9 @@ class SignalRequest:
         return len(self.amplitude)
 
     @property
-    def clock_samples(self) -> int:
-        """Shortest holding time of an excitation level, in whole sampling periods. Raises
-        `BadRequest` for less than one."""
+    def clock_period_samples(self) -> int:
+        """Shortest holding time of an excitation level (clock period), in whole sampling periods.
+        Raises `BadRequest` for less than one."""
         samples = round(self.clock_s / self.step_s)
         problem = f"shorter than half the sampling time of {self.step_s:g} s"
         remedy = "hold each level for at least one sample"
@@ -61,7 +61,7 @@ class Excitation(ABC):
     @property
     @abstractmethod
     def kind(self) -> str:
-        """Kind of an excitation signal as named in results, such as `prbs`."""
+        """Name of the kind of excitation signal in results, such as `prbs`."""
 
     @abstractmethod
     def unit_signal(self, request: SignalRequest, rng: np.random.Generator) -> Inputs:
@@ -125,7 +125,7 @@ class PRBS(Excitation):
         require(2 <= bits <= 32, "excitation.register_bits", bits, problem, remedy)
 
     def unit_signal(self, request: SignalRequest, rng: np.random.Generator) -> Inputs:
-        hold = request.clock_samples
+        hold = request.clock_period_samples
         columns = []
         for _ in range(request.inputs):
             start = rng.integers(0, 2, self.register_bits)
@@ -159,7 +159,7 @@ class APRBS(Excitation):
         )
 
     def unit_signal(self, request: SignalRequest, rng: np.random.Generator) -> Inputs:
-        clock = request.clock_samples
+        clock = request.clock_period_samples
         columns = []
         most = -(-request.samples // clock)  # levels, if each were held for one clock
         for _ in range(request.inputs):

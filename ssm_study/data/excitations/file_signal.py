@@ -13,9 +13,9 @@ from ssm_study.refusal import require
 
 
 @dataclass(frozen=True, kw_only=True)
-class OwnSignal(Excitation):
-    """Excitation signal that is read from a file, one column per input. One column per input, with
-    offsets from the equilibrium in the input's unit; one row per sampling period.
+class FileSignal(Excitation):
+    """Excitation signal that is read from a file of the user. One column per input, with offsets
+    from the equilibrium in the input's unit; one row per sampling period.
 
     Records shorter than the file start at a random row of it. `amplitude` None takes the values as
     they are; a number scales each column to that peak.

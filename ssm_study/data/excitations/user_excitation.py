@@ -25,8 +25,8 @@ PERIOD_IN_SETTLINGS = 20  # some seventy levels a period: S_u is seen all over t
 
 
 @dataclass(frozen=True, kw_only=True)
-class OwnPlantRecord:
-    """Identification experiment for a user's own plant: the input signal that the user applies and
+class IdentificationExperiment:
+    """Identification experiment for a user's own plant, whose input signal the user applies and
     records. It rests, then has two equal periods of random levels at each amplitude, then rests;
     then likewise a single sine of each frequency in `sines` (rad/sample) at each amplitude; all
     within `lower, upper`.
@@ -77,12 +77,13 @@ class OwnPlantRecord:
             parts += [self.rest + reach * levels] * PERIODS + [still]
         for angle in self.sines:
             for amplitude in SINE_AMPLITUDES:
-                parts += [self.sine(angle, amplitude, settling), still]
+                parts += [self.sine_signal(angle, amplitude, settling), still]
         return np.concatenate(parts)
 
-    def sine(self, angle: float, amplitude: float, settling: int) -> Float[np.ndarray, "T"]:
-        """Generate a sine with a whole number of samples per cycle, in three equal parts: one to
-        settle, two to measure. It has three parts, each as long as the plant takes to settle."""
+    def sine_signal(self, angle: float, amplitude: float, settling: int) -> Float[np.ndarray, "T"]:
+        """Generate a sine with a whole number of samples per cycle, in three equal parts: one for
+        settling and two for measuring. It has three parts, each as long as the plant takes to
+        settle."""
         cycle = max(round(2 * np.pi / angle), 4)
         cycles = max(-(-settling // cycle), SINE_CYCLES)
         reach = amplitude * min(self.upper - self.rest, self.rest - self.lower)

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 from jaxtyping import Float
 from pyarrow import csv as arrow_csv
 
-from ssm_study.data.dates import AmbiguousDates, dates_to_seconds, is_date
+from ssm_study.data.dates import AmbiguousDatesError, dates_to_seconds, is_date
 from ssm_study.data.readers.reader import Reader, Table, find_column
 from ssm_study.data.text_cells import MISSING
 from ssm_study.data.text_layout import TextLayout, TextSettings, detect_layout
@@ -253,7 +253,7 @@ def parse_dates(
         return None, "no number"
     try:
         seconds = dates_to_seconds(cells.to_pylist())
-    except AmbiguousDates:
+    except AmbiguousDatesError:
         return None, "days and months cannot be told apart"
     unread = ~np.isfinite(seconds) & ~missing.to_numpy()
     if unread.any():
@@ -275,7 +275,7 @@ def find_time_of_day_column(table: pa.Table) -> tuple[int, ColumnValues] | None:
                 cells = [f"{date} {time}" for date, time in pairs]
                 try:
                     return place, dates_to_seconds(cells)
-                except AmbiguousDates:
+                except AmbiguousDatesError:
                     return None
     return None
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ssm_study.certificates.problem import Problem
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.peers.peer import Identified, Peer
+from ssm_study.loop.peers.peer import ComparisonMethod, IdentificationResult
 from ssm_study.loop.peers.pi import mean_input_slope
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
@@ -51,19 +51,19 @@ def _riccati_gain(problem: Problem) -> Float[np.ndarray, "m n"]:
     return -np.linalg.solve(curvature, coupling)
 
 
-class LqgPeer(Peer, names=("lqg",)):
+class LqgMethod(ComparisonMethod, names=("lqg",)):
     """Comparison method that uses a textbook LQG controller."""
 
     def build_controller(
-        self, plant: Plant, identified: Identified, rate: float
+        self, plant: Plant, identified: IdentificationResult, rate: float
     ) -> ObserverFeedback:
         """LQG controller for the identified model."""
-        weights = lqg_weights(plant, identified, rate)
+        weights = lqg_settings(plant, identified, rate)
         return lqg_controller(identified.linear_model, weights)
 
 
-def lqg_weights(plant: Plant, identified: Identified, rate: float) -> Synthesis:
-    """Settings of the LQG design: the default cost weights of `synthesis=riccati`, and the
+def lqg_settings(plant: Plant, identified: IdentificationResult, rate: float) -> Synthesis:
+    """Settings of the LQG design: cost weights (the defaults of `synthesis=riccati`) and the
     variance of the sensor noise in scaled units.
 
     One input scale drives the states; a linear design has no rate.

@@ -28,9 +28,9 @@ UNSAID: Row = {"controller": "", "certified": False, **dict.fromkeys(PREDICTED),
 
 
 @dataclass(frozen=True, kw_only=True)
-class Identified:
-    """Data that every compared control method may use: model, balls of Jacobians and validation
-    records."""
+class IdentificationResult:
+    """Results of an identification that the compared control methods may use: model, balls of
+    Jacobians and validation records."""
 
     model: Model
     balls: JacobianBalls
@@ -39,8 +39,10 @@ class Identified:
     start_up_samples: int = 0
 
     @classmethod
-    def from_data_set(cls, model: Model, balls: JacobianBalls, data: DataSet) -> "Identified":
-        """Data that the compared control methods may use, from an identified model and its data
+    def from_data_set(
+        cls, model: Model, balls: JacobianBalls, data: DataSet
+    ) -> "IdentificationResult":
+        """Collect what the compared control methods may use, from an identified model and its data
         set."""
         return cls(
             model=model,
@@ -85,13 +87,13 @@ def replace_neurons_by_slopes(model: Model) -> SSM:
     )
 
 
-class Peer(Family):
-    """Interface of a control method that takes part in the comparison. `names` are the method's
-    names there."""
+class ComparisonMethod(Family):
+    """Interface of a control method that takes part in the comparison of controllers. `names` are
+    the method's names there."""
 
     @abstractmethod
     def build_controller(
-        self, plant: Plant, identified: Identified, rate: float
+        self, plant: Plant, identified: IdentificationResult, rate: float
     ) -> Controller | Design:
         """Build the controller that a compared control method gives for a plant, or a design if the
         method certifies its gains.
@@ -101,17 +103,17 @@ class Peer(Family):
 
 
 def build_compared_controller(
-    name: str, plant: Plant, identified: Identified, rate: float = 0.05
+    name: str, plant: Plant, identified: IdentificationResult, rate: float = 0.05
 ) -> tuple[Controller | None, Row]:
-    """Build the controller of one control method of the comparison, with table columns of its
-    proved and predicted properties.
+    """Build the controller of one compared control method, with table columns of what is proved and
+    predicted for it.
 
     None, and a row with the reason, where the peer has no controller.
     """
     columns = UNSAID | {"controller": name}
     is_certified = False
     try:
-        peer = Peer.known[name]()
+        peer = ComparisonMethod.known[name]()
         built = peer.build_controller(plant, identified, rate)
         if isinstance(built, Design):
             controller: Controller = ObserverFeedback.from_design(identified.model, built)

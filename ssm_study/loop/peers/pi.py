@@ -10,7 +10,7 @@ import scipy
 from jaxtyping import Complex, Float
 
 from ssm_study.loop.controller import Controller, Inputs, Measured, Memory, Outputs, Target
-from ssm_study.loop.peers.peer import Identified, Peer
+from ssm_study.loop.peers.peer import ComparisonMethod, IdentificationResult
 from ssm_study.models.identified import SSM
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
@@ -56,10 +56,11 @@ class PI(Controller):
         shifted_error = target - y + memory
         return self.input_equilibrium + self.gain * shifted_error
 
-    def advance(
+    def next_memory(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
     ) -> Memory:
-        """Next integral state of the PI controller, unchanged while an input limit is active."""
+        """Next integral state of the PI controller; it stays constant while an input limit is
+        active."""
         unlimited_input = self.input(memory, y, target)
         is_unlimited = np.isclose(u, unlimited_input, rtol=1e-9, atol=1e-12)
         share_of_integral = self.step_s / self.integral_s
@@ -97,7 +98,8 @@ class UltimateGain(NamedTuple):
 
 
 def ultimate_gain(model: SSM) -> UltimateGain:
-    """Ultimate gain and period of a model with one input and one output.
+    """Ultimate gain of a model with one input and one output (the proportional gain at which the
+    loop just oscillates), with the period.
 
     `u = -gain y` puts the first pole of the model (S_u by its mean slope) on the unit circle, at
     `2 pi / period`. Raises `BadRequest` for more than one input or output, or a loop that no gain
@@ -175,10 +177,10 @@ def mean_input_slope(model: SSM) -> Float[np.ndarray, "k m"]:
     return (differences / 2).T
 
 
-class PiPeer(Peer, names=("pi",)):
+class PiMethod(ComparisonMethod, names=("pi",)):
     """Comparison method with a PI controller that is tuned by Tyreus and Luyben's rule."""
 
-    def build_controller(self, plant: Plant, identified: Identified, rate: float) -> PI:
+    def build_controller(self, plant: Plant, identified: IdentificationResult, rate: float) -> PI:
         """Build the PI controller of an identified model, tuned by the rule of Tyreus and
         Luyben."""
         return tyreus_luyben_pi(identified.linear_model)

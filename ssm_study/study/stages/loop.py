@@ -8,8 +8,13 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.loop.metrics import behaviour_columns, certificate_columns
-from ssm_study.loop.peers.peer import Identified
-from ssm_study.loop.regulation import IdentifiedPlant, Loop, LoopRuns, has_direct_feedthrough
+from ssm_study.loop.peers.peer import IdentificationResult
+from ssm_study.loop.regulation import (
+    IdentifiedPlant,
+    LoopExperiment,
+    LoopRuns,
+    has_direct_feedthrough,
+)
 from ssm_study.signals import DataSet
 from ssm_study.study.loop_recordings import (
     NOISE_FREE,
@@ -31,7 +36,7 @@ def compute_loop(
     model_run: ModelRun,
     design: Design,
     *,
-    loop: Loop,
+    loop: LoopExperiment,
     loop_seed: int,
     plant: Any = None,
 ) -> Experiment | None:
@@ -55,7 +60,7 @@ def compute_loop(
     about = {"loop_on": loop_on, "loop_seed": str(loop_seed)}
     write_loop_recordings(folder, closed, on, twin, about)
     if experiment.comparison is not None:
-        identified = Identified.from_data_set(model, certified_balls(model), data)
+        identified = IdentificationResult.from_data_set(model, certified_balls(model), data)
         rows = experiment.comparison.rows(on, identified, experiment, loop_seed)
         # As objects: else whole numbers beside an empty field become fractions.
         table = pd.DataFrame(rows, dtype=object)

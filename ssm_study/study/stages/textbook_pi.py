@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from ssm_study.engine.stages import Facts, Stage
-from ssm_study.loop.regulation import Loop
+from ssm_study.loop.regulation import LoopExperiment
 from ssm_study.loop.textbook_pi import textbook_pi_columns
 from ssm_study.study.stages.files import read_json, write_json
 from ssm_study.study.stages.free_run import ModelRun
@@ -13,7 +13,7 @@ FILE = "textbook_pi.json"
 
 
 def compute_textbook_pi(
-    folder: Path, model_run: ModelRun, *, loop: Loop, loop_seed: int, plant: Any
+    folder: Path, model_run: ModelRun, *, loop: LoopExperiment, loop_seed: int, plant: Any
 ) -> None:
     """Simulate a textbook PI controller from the same initial states as the certified design, and
     write its results."""
