@@ -107,9 +107,8 @@ def worst_case_loop_gain(
     cached_responses: ResponseCache | None = None,
     stop_value: float = float("inf"),
 ) -> float:
-    """Largest loop gain of a closed loop under the measured model error, over all amplitudes and
-    slopes; its inverse is the stability margin. The largest number that must stay below one, over
-    amplitudes, mixtures and slopes; infinite for an unstable loop.
+    """Largest loop gain under the measured model error, over all amplitudes, mixtures of neighbours
+    and slopes; its inverse is the stability margin. It is infinite for an unstable loop.
 
     It is taken on `FINE_ANGLES`, or those of `cached_responses`, where what pairs share is computed
     once (the same but for rounding), and at the angles of the loop's own modes, where it is
@@ -147,7 +146,6 @@ def _group_by_amplitude(
     """Group the recorded model errors by input amplitude, each with the slopes of the static maps
     at this amplitude. The two largest amplitudes and closed-loop records are combined with all
     slopes.
-
     The smaller amplitudes, up to the second largest, speak of loops that swing no wider than its
     sinusoid, whose peak is `sqrt(2)` times its root mean square: of one S_u they meet the slopes
     within it, not those at an actuator's limit.
@@ -239,8 +237,7 @@ class LoopResponse:
         )
 
     def small_gain_product(self, by_frequency: BandGains) -> float:
-        """Product of the gains of closed loop and model error at the frequency where it is largest
-        (small-gain theorem)."""
+        """Largest product, over all frequencies, of the gains of closed loop and model error."""
         mismatch_gain = np.interp(self.angles, ANGLES, by_frequency)
         loop_gain = mismatch_gain * self.size
         return float(loop_gain.max())
@@ -307,7 +304,6 @@ class AmplitudeCondition:
 def largest_loop_gain(mismatch: Mismatch, loop: LoopResponse) -> float:
     """Largest loop gain of the model error over all recorded input amplitudes. Below one, the loop
     is predicted to be stable.
-
     At one amplitude the smaller of two sufficient conditions counts. A loop may also swing between
     two recorded amplitudes, so mixtures of neighbours are tested too. Source: docs/theory.md,
     "Small gain for the plant".
@@ -357,9 +353,9 @@ def _largest_interpolated_gain(
 def output_peak_from_noise(
     model: Model, gains: Gains, balls: JacobianBalls, mismatch: Mismatch
 ) -> float:
-    """Largest output amplitude that the measured sensor noise causes around the equilibrium, as a
-    multiple of the settling band. It is zero if the noise was not measured, or the plant does not
-    move under that input."""
+    """Largest output amplitude that the measured sensor noise causes at the equilibrium, in
+    settling bands. Zero if the noise was not measured, or the plant does not move under that
+    input."""
     if not mismatch.noise:
         return 0.0
     linear, own_gains = _linearise_at_equilibrium(model, gains, balls)
@@ -386,8 +382,8 @@ def output_peak_from_noise(
 def _linearise_at_equilibrium(
     model: Model, gains: Gains, balls: JacobianBalls
 ) -> tuple[StateSpace, Gains]:
-    """Linear recurrence and observer gains of a model, with each neuron replaced by its slope at
-    the equilibrium."""
+    """Linear system and observer gains, with each neuron replaced by its slope at the
+    equilibrium."""
     slopes = None
     if isinstance(model, StructuredSSM):
         slopes = evaluate_activations(model.neurons, model.bias, "slope")[None]
