@@ -294,9 +294,8 @@ class AmplitudeCondition:
         )
 
     def loop_gain(self, loop: LoopResponse) -> float:
-        """Loop gain of the model error at one input amplitude; below one, the loop is proved stable
-        at that amplitude. It is the smaller of two sufficient conditions: plain small gain, and
-        small gain with a phase."""
+        """Loop gain of the model error at one input amplitude, below one for a stable loop: the
+        smaller of plain small gain and small gain with a phase."""
         with_phase = loop.remainder_gain_product(self.linear_part, self.remainder)
         return min(self.small_gain, with_phase)
 
@@ -393,8 +392,7 @@ def _linearise_at_equilibrium(
 
 
 def _slope_at_equilibrium(scaffold: Scaffold, ball: JacobianBall) -> float:
-    """Slope of a static map at the equilibrium, limited to the certified slopes of its ball of
-    Jacobians."""
+    """Slope of a static map at the equilibrium, limited to the slopes of its ball of Jacobians."""
     equilibrium = np.zeros(scaffold.inputs)
     jacobian = scaffold.jacobian(equilibrium)
     size = np.linalg.norm(jacobian, 2)
