@@ -123,7 +123,7 @@ class IdentifiedCase:
         data = parts.data.build(plant, parts.excitation, seed)
         with TemporaryDirectory() as folder:
             trained = parts.training.identify(parts.model, data, seed, Path(folder), False).model
-        model = parts.reduction.reduce(trained)
+        model = parts.reduction.reduce_model(trained)
         records = data.validation, data.start_up_samples, data.mismatch_records
         mismatch = measure_model_error(model, *records)
         start_up = data.start_up_samples

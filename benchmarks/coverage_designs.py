@@ -89,7 +89,7 @@ class DrawnDesigns:
         case = self.case
         model = case.model
         balls = certified_balls(model)
-        design = self.candidates.specification(pair).design(model, balls)
+        design = self.candidates.synthesis_settings(pair).design(model, balls)
         proved = add_coverage_certificate(design, model, balls, case.premise)
         coverage = reported_coverage(proved, model, case.premise)
         source = case.parts.data

@@ -59,7 +59,7 @@ def lines(name: str, seed: int, order: int, designs: int) -> list[dict]:
     parts = study_of(f"model.order={order}", f"seed={seed}")
     with TemporaryDirectory() as folder:
         data = recorded(plant, seed, Path(folder))
-        model = parts.reduction.reduce(
+        model = parts.reduction.reduce_model(
             parts.training.identify(parts.model, data, seed, Path(folder), False).model
         )
     loop = parts.loop.with_default_horizon(model)

@@ -30,7 +30,7 @@ def main() -> None:
     data = part.data.build(part.plant, part.excitation, 0)
     with TemporaryDirectory() as folder:
         found = part.training.identify(part.model, data, 0, Path(folder), False)
-    model = part.reduction.reduce(found.model)
+    model = part.reduction.reduce_model(found.model)
     plant = part.plant
     design = Auto().design(model, certified_balls(model), data.validation)
     loop = LoopExperiment(initial_conditions=asked.cases, horizon_s=asked.samples * plant.step_s)

@@ -18,7 +18,7 @@ from models_peers import BareFFT, DynoNetFilter, PublicLRU, Recurrent, StepLoop
 from torch import nn
 
 from ssm_study.models import torch_recurrence as recurrence
-from ssm_study.models.initial_system import draw_modes_on_ring
+from ssm_study.models.initial_system import draw_stable_system
 from ssm_study.models.torch_ssm import LRU
 
 CASES = [
@@ -49,7 +49,7 @@ def contenders(samples: int, modes: int, batch: int = 16) -> dict[str, Callable[
     recurrence."""
     torch.manual_seed(0)
     u = torch.randn(batch, samples, 1, requires_grad=True)
-    start = draw_modes_on_ring(
+    start = draw_stable_system(
         2 * modes, 0, (0.5, 0.99), (0.05, 1.5), (1, 1), np.random.default_rng(0)
     )
     ours = LRU(start, feedthrough=False).float()

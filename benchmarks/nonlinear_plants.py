@@ -45,7 +45,7 @@ def row(name: str, plant: Plant, model: str, seed: int) -> str:
     parts: Any = study_of(*asked, "model.order=4", f"seed={seed}")
     data = parts.data.build(plant, parts.excitation, seed)
     with TemporaryDirectory() as folder:
-        made = parts.reduction.reduce(
+        made = parts.reduction.reduce_model(
             parts.training.identify(parts.model, data, seed, Path(folder), False).model
         )
     clean = replace(plant, noise=0.0)

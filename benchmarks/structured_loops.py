@@ -40,7 +40,7 @@ def row(plant: str, kind: str, seed: int, settings: list[str]) -> dict[str, Any]
     parts: Any = study_of(f"plant={plant}", f"model={kind}", f"seed={seed}", *settings)
     data = parts.data.build(parts.plant, parts.excitation, seed)
     with TemporaryDirectory() as folder:
-        made = parts.reduction.reduce(
+        made = parts.reduction.reduce_model(
             parts.training.identify(parts.model, data, seed, Path(folder), False).model
         )
     shown = measure_model_error(made, data.validation, data.start_up_samples, data.mismatch_records)

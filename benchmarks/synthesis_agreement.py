@@ -41,7 +41,7 @@ def on_fast_modes(case: Instance) -> Problem:
     )
     r = asked.contraction_factor
     modes = split_modes(asked.a, asked.b, r)
-    if modes.fast_count == 0:
+    if modes.fast_mode_count == 0:
         raise NoSolution("no fast modes")
     root = inverse_time_gramian_root(modes.a_fast / r, modes.b_fast / r)
     return Problem(
@@ -49,7 +49,7 @@ def on_fast_modes(case: Instance) -> Problem:
         b=scipy.linalg.solve_triangular(root, modes.b_fast / r, lower=True),
         ball=case.ball,
         rate=float(np.finfo(float).eps),  # scaled by 1/r, the asked factor is one
-        state_weight=np.eye(modes.fast_count),
+        state_weight=np.eye(modes.fast_mode_count),
         input_weight=1.0,
     )
 

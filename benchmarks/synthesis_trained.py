@@ -40,7 +40,7 @@ def identified(plant: str, order: int, seed: int) -> SSM:
     data = part.data.build(part.plant, part.excitation, seed)
     with tempfile.TemporaryDirectory() as folder:
         found = part.training.identify(part.model, data, seed, Path(folder))
-    model: SSM = part.reduction.reduce(found.model)
+    model: SSM = part.reduction.reduce_model(found.model)
     return model
 
 

@@ -23,7 +23,7 @@ from models_peers import PublicLRU
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from ssm_study.models.initial_system import draw_modes_on_ring
+from ssm_study.models.initial_system import draw_stable_system
 from ssm_study.models.scaffolds.linear import Linear
 from ssm_study.models.scaffolds.mlp import Mlp
 from ssm_study.models.scaffolds.trainable import MapContext
@@ -55,7 +55,7 @@ def ours() -> TorchSSM:
     frame = MapContext(width=WIDTH, slopes=(0.01, 1.0), samples=rng.normal(size=(1000, 1)))
     scaffold = Mlp(depth=1, train_slopes=True, certified=True).build(frame, rng)
     lru = LRU(
-        draw_modes_on_ring(ORDER, 0, (0.5, 0.99), (0.05, 1.5), (1, 1), rng), feedthrough=False
+        draw_stable_system(ORDER, 0, (0.5, 0.99), (0.05, 1.5), (1, 1), rng), feedthrough=False
     )
     return TorchSSM(scaffold, lru, Linear().build(frame, rng)).float()
 

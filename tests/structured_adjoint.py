@@ -173,7 +173,7 @@ def gradient(one, theta, derivatives=_derivatives):  # type: ignore[no-untyped-d
         return np.ascontiguousarray(records_last)
 
     u, y, weight = map(blocks, one.records)
-    matrices = one.matrices(theta)
+    matrices = one.kernel_matrices(theta)
     initial_conditions = one.initial_conditions(theta)
     first_states = blocks(initial_conditions[0])
     parts = derivatives(matrices, u, first_states, y, weight)

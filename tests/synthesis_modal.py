@@ -72,7 +72,7 @@ def solve_on_fast_modes(problem: Problem, faster: float, objective: str, solver:
     like its parts."""
     modes = split_modes(problem.a, problem.b, faster)
     m = problem.b.shape[1]
-    if modes.fast_count == 0:
+    if modes.fast_mode_count == 0:
         no_metric = np.zeros((0, 0))
         no_gain = np.zeros((m, len(problem.a)))
         fast = FastGain(k=no_gain, p=no_metric)
@@ -84,25 +84,25 @@ def solve_on_fast_modes(problem: Problem, faster: float, objective: str, solver:
     transformed = ah @ root
     balanced_a = scipy.linalg.solve_triangular(root, transformed, lower=True)
     balanced_b = scipy.linalg.solve_triangular(root, bh, lower=True)
-    weights = {"state_weight": np.eye(modes.fast_count), "input_weight": 1.0}
+    weights = {"state_weight": np.eye(modes.fast_mode_count), "input_weight": 1.0}
     form = {"objective": objective, "full": False}
     lmi = CompiledLmi(a=balanced_a, b=balanced_b, **form, **weights)
     # Scaled by 1/r, the asked factor is one: a rate just above zero stands for it.
     rate = float(np.finfo(float).eps)
-    state_weight = np.eye(modes.fast_count)
+    state_weight = np.eye(modes.fast_mode_count)
     balanced_problem = replace(
         problem, a=balanced_a, b=balanced_b, rate=rate, state_weight=state_weight
     )
     solution = lmi.solve(balanced_problem, solver)
     transposed = solution.k.T
     triangular = scipy.linalg.solve_triangular(root, transposed, lower=True, trans="T")
-    fast_coordinates = modes.left[: modes.fast_count]
+    fast_coordinates = modes.left[: modes.fast_mode_count]
     k = triangular.T @ fast_coordinates
     metric = solution.p / solution.sigma
     scaled_metric = root @ metric @ root.T
     fast = FastGain(k=k, p=scaled_metric)
     p = weighted_block_metric(problem, modes, fast)
-    status = f"{solution.status} on {modes.fast_count} fast modes"
+    status = f"{solution.status} on {modes.fast_mode_count} fast modes"
     return Solution(p=p, y=p, k=k, sigma=1.0, status=status)
 
 

@@ -72,7 +72,7 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
     (plant, data), parts = recorded(name, seed), study_of(f"model.order={order}", f"seed={seed}")
     with TemporaryDirectory() as folder:
         found = parts.training.identify(parts.model, data, seed, Path(folder), False)
-    model = parts.reduction.reduce(found.model)
+    model = parts.reduction.reduce_model(found.model)
     known = IdentificationResult.from_data_set(model, certified_balls(model), data)
     grid = RandomDesignTable(designs=designs)
     loop = parts.loop.with_default_horizon(model)

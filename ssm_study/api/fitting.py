@@ -119,7 +119,7 @@ def fit(
         workplace=folder,
         keep_on_interrupt=keep_on_interrupt,
     )
-    simulator = reduction.reduce(trained) if spec.gives_ssm else trained
+    simulator = reduction.reduce_model(trained) if spec.gives_ssm else trained
     used_overrides = parts.command_overrides()
     later_words = parts.overrides_for_parts("synthesis", "loop", "loop_seed")
     return Model(

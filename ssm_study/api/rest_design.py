@@ -17,10 +17,7 @@ from ssm_study.api.arguments import Values
 from ssm_study.api.loops import tabulate_rollouts
 from ssm_study.api.summaries import PROVED, html_table, render_text_table
 from ssm_study.api.systems import read_number, read_path
-from ssm_study.certificates.bilinear_certificates import (
-    BilinearCertificates,
-    failed_bilinear_checks,
-)
+from ssm_study.certificates.bilinear_certificates import BilinearDesign, failed_bilinear_checks
 from ssm_study.certificates.certificate import certificate_digest
 from ssm_study.data.arrays import signal_array_and_names
 from ssm_study.export.bilinear_c import render_bilinear_c
@@ -56,7 +53,7 @@ class RestDesign:
     """
 
     model: Bilinear
-    certificates: BilinearCertificates
+    certificates: BilinearDesign
     channels: tuple[Channel, ...]
 
     @property
@@ -182,7 +179,7 @@ class RestDesign:
         failures = "; ".join(broken)
         require(not broken, "design", folder, failures, remedy)
         channels = [Channel(name=name, unit=unit) for name, unit in read_json(folder / CHANNELS)]
-        certificates = BilinearCertificates.from_json(content)
+        certificates = BilinearDesign.from_json(content)
         assert isinstance(model, Bilinear)  # the checks refuse others
         channel_tuple = tuple(channels)
         return cls(model=model, certificates=certificates, channels=channel_tuple)

@@ -37,7 +37,7 @@ class Reduction:
             self.balanced or order is None, "reduction.balanced", self.balanced, problem, remedy
         )
 
-    def reduce(self, model: Any) -> Any:
+    def reduce_model(self, model: Any) -> Any:
         """Reduce a model to fewer states by balanced truncation.
 
         A model with neurons stays as it is: no state of its linear part can be dropped by itself

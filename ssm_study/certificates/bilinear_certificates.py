@@ -20,7 +20,7 @@ DIMENSIONS = {"k": Float[np.ndarray, "m n"], "l_nodes": Float[np.ndarray, "q n p
 
 
 @dataclass(frozen=True, kw_only=True)
-class BilinearCertificates:
+class BilinearDesign:
     """Gains of a bilinear model's controller and observer with their certificates, or the reasons
     why there are none.
 
@@ -52,7 +52,7 @@ class BilinearCertificates:
         return content
 
     @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> "BilinearCertificates":
+    def from_json(cls, content: Mapping[str, Any]) -> "BilinearDesign":
         """Read the gains and certificates of a bilinear closed loop from the content of
         `certificate.json`. Raises `BadRequest` for a missing or malformed entry."""
         gains = {}
@@ -86,7 +86,7 @@ def failed_bilinear_checks(content: Mapping[str, Any], model: Any) -> list[str]:
     Claims are each part's digest, the model's fields, the deployed gains, and `certified`.
     """
     try:
-        certificates = BilinearCertificates.from_json(content)
+        certificates = BilinearDesign.from_json(content)
     except BadRequest as malformed:
         return [str(malformed)]
     ball = JacobianBall(alpha=1.0, beta=0.0)

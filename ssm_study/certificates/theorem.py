@@ -217,7 +217,7 @@ class Theorem(ABC):
         return {label: symmetric_from_upper(upper) for label, upper in conditions.items()}
 
     @classmethod
-    def as_floats(cls, **numbers: Any) -> dict[str, Symmetric]:
+    def float_conditions(cls, **numbers: Any) -> dict[str, Symmetric]:
         """Matrices of a theorem's conditions in floats, each scaled to a unit diagonal."""
         scaled = {}
         for label, blocks in cls._evaluate_conditions(np.atleast_2d, numbers).items():
@@ -258,7 +258,7 @@ class Theorem(ABC):
         """
         started = time.perf_counter() if started is None else started
         certified = cls.holds(**numbers)
-        first_condition, *_ = cls.as_floats(**numbers).values()
+        first_condition, *_ = cls.float_conditions(**numbers).values()
         metric_matrix = numbers[cls.metric_matrix]
         information |= {
             "certified": certified,

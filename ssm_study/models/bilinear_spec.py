@@ -51,7 +51,7 @@ class BilinearSpec(SolvedSpec):
         contracts = self.rate is None or 0 < self.rate < 1
         require(contracts, "model.rate", self.rate, "must lie in (0, 1)", "use 0.999 or null")
 
-    def solve(self, data: DataSet) -> Bilinear:
+    def fit_model(self, data: DataSet) -> Bilinear:
         """Fit a bilinear model to the training records, from several initial parameters.
 
         Raises `BadRequest` for several inputs and for records that are too short.

@@ -49,7 +49,7 @@ class InitialLinearSystem:
         return np.asarray(modal_output.real.T + direct_output)
 
 
-def draw_modes_on_ring(
+def draw_stable_system(
     order: int,
     real_modes: int,
     radius: Range,

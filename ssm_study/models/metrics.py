@@ -288,7 +288,11 @@ def _linearise_output(
     empty_shape = (1, len(mapped_input), 0)
     empty_columns = np.zeros(empty_shape)
     none = np.zeros(0, dtype=np.int64)
-    matrices = model.matrices_with_disturbances if model.scale.disturbances else model.matrices
+    matrices = (
+        model.kernel_matrices_with_disturbances
+        if model.scale.disturbances
+        else model.kernel_matrices
+    )
     ybar, by = simulate_with_sensitivities(
         matrices, mapped_input[None], x0[None], empty_columns, none
     )

@@ -12,7 +12,7 @@ from ssm_study.models.initial_system import (
     InitialLinearSystem,
     Pairs,
     Range,
-    draw_modes_on_ring,
+    draw_stable_system,
     estimate_initial_system,
 )
 from ssm_study.models.scaffolds.trainable import MapContext, Trainable
@@ -142,7 +142,7 @@ class SSMSpec(ModelSpec):
         output_count = y.shape[1]
         channels = (input_count, output_count)
         sizes = (self.order, self.real_modes)
-        return draw_modes_on_ring(*sizes, self.ring_radius, self.ring_frequency, channels, rng)
+        return draw_stable_system(*sizes, self.ring_radius, self.ring_frequency, channels, rng)
 
 
 def scale_records(data: DataSet) -> Pairs:

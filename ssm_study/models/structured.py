@@ -193,7 +193,7 @@ class StructuredSSM(ScaffoldedModel):
         return StructuredSystem(**blocks)
 
     @cached_property
-    def matrices(self) -> "KernelMatrices":
+    def kernel_matrices(self) -> "KernelMatrices":
         """Matrices of the model's recurrence in the layout for compiled code."""
         # Here, for it loads numba: reading a model does without.
         from ssm_study.models.structured_kernel import KernelMatrices
@@ -202,7 +202,7 @@ class StructuredSSM(ScaffoldedModel):
         return KernelMatrices.from_parts(vars(self), codes)
 
     @cached_property
-    def matrices_with_disturbances(self) -> "KernelMatrices":
+    def kernel_matrices_with_disturbances(self) -> "KernelMatrices":
         """Matrices of the model's recurrence for compiled code, with measured disturbances as
         further inputs. Disturbances only act on the state."""
         from ssm_study.models.structured_kernel import KernelMatrices
@@ -272,7 +272,9 @@ class StructuredSSM(ScaffoldedModel):
         records = ubar.reshape(-1, samples, inputs)
         v = np.ascontiguousarray(records, dtype=np.float64)
         has_disturbances = inputs != self.b.shape[1]
-        matrices = self.matrices_with_disturbances if has_disturbances else self.matrices
+        matrices = (
+            self.kernel_matrices_with_disturbances if has_disturbances else self.kernel_matrices
+        )
         flat_start = start.reshape(-1, self.order)
         ybar, states = simulate_compiled(matrices, v, flat_start)
         outputs = ybar.reshape(*batch, samples, -1)

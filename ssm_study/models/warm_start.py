@@ -69,7 +69,7 @@ def choose_initial_state_source(model: Any, data: DataSet) -> InitialStateChoice
     test = states_from_preceding_log(model, data, data.test)
     if all(state is None for state in (*validation, *test)):
         return none
-    errors = initial_state_errors(model, data)
+    errors = errors_by_initial_state_source(model, data)
     if errors is None:
         return InitialStateChoice(choice=SAMPLES, validation=validation, test=test)
     return InitialStateChoice(
@@ -80,7 +80,7 @@ def choose_initial_state_source(model: Any, data: DataSet) -> InitialStateChoice
     )
 
 
-def initial_state_errors(model: Any, data: DataSet) -> dict[str, float] | None:
+def errors_by_initial_state_source(model: Any, data: DataSet) -> dict[str, float] | None:
     """Mean simulation errors with two kinds of initial states: estimated from first samples, or
     simulated over the preceding log.
 

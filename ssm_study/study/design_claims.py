@@ -310,7 +310,7 @@ def stored_number_errors(part: Theorem | Infeasible) -> list[str]:
     number."""
     if isinstance(part, Infeasible):
         return []
-    again = smallest_eigenvalue(next(iter(part.as_floats(**part.variables).values())))
+    again = smallest_eigenvalue(next(iter(part.float_conditions(**part.variables).values())))
     wrong = []
     # So written that NaN is wrong.
     if not abs(again - part.margin) <= ITERATED * abs(again) + EIGENVALUE:

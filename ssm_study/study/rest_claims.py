@@ -4,10 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ssm_study.api.rest_design import CERTIFICATE, CHANNELS, MODEL, foreign_files, read_json
-from ssm_study.certificates.bilinear_certificates import (
-    BilinearCertificates,
-    failed_bilinear_checks,
-)
+from ssm_study.certificates.bilinear_certificates import BilinearDesign, failed_bilinear_checks
 from ssm_study.models.bilinear import Bilinear
 from ssm_study.models.stored import model_from_json
 from ssm_study.refusal import BadRequest
@@ -34,6 +31,6 @@ def check_rest_design(folder: Path) -> Iterator[Checked]:
     for sentence in broken:
         yield Checked(claim=CERTIFICATE, holds=False, found=sentence)
     if not broken:
-        for label, part in BilinearCertificates.from_json(content).parts.items():
+        for label, part in BilinearDesign.from_json(content).parts.items():
             verdict = "certified" if part.certified else "not certified"
             yield Checked(claim=f"certificate.{label}", holds=True, found=verdict)

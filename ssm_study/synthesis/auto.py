@@ -102,7 +102,7 @@ class Auto:
         )
 
     @property
-    def modes(self) -> tuple[str, ...]:
+    def internal_model_signals(self) -> tuple[str, ...]:
         """Names of the signals that the internal model generates, such as `step` and `sine`."""
         return tuple(self.internal_model) or ("step",) * bool(self.integral_weights)
 
@@ -118,7 +118,7 @@ class Auto:
             input_weights=self.input_weights,
             output_noises=self.output_noises,
             integral_weights=self.integral_weights,
-            modes=self.modes,
+            internal_model_signals=self.internal_model_signals,
         )
 
     def _side_or_common_rate(self, requested_rate: float | str) -> float | str:
@@ -217,7 +217,7 @@ class Auto:
         design was preferred."""
         smallest_peak = np.argmin(peaks)
         best = np.array(np.unravel_index(smallest_peak, peaks.shape))
-        specification = candidates.specification(best)
+        specification = candidates.synthesis_settings(best)
         design = specification.design(model, balls)
         status = f"no stable controller with margin above {self.margin:g}; largest margin taken"
         if np.isinf(self.margin):
@@ -294,7 +294,7 @@ class CertifiedDesigns:
         if self.has_faster and not ranked.is_faster:
             return None
         response = self.response
-        specification = response.candidates.specification(ranked.pair)
+        specification = response.candidates.synthesis_settings(ranked.pair)
         design = specification.design(response.model, response.balls)
         if not design.certified:
             return None

@@ -15,7 +15,7 @@ import cvxpy as cp
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.certificates.bilinear_certificates import BilinearCertificates
+from ssm_study.certificates.bilinear_certificates import BilinearDesign
 from ssm_study.certificates.problem import NoSolution
 from ssm_study.certificates.theorem import Theorem
 from ssm_study.certificates.theorems.bilinear_contraction import BilinearContraction
@@ -28,7 +28,7 @@ from ssm_study.synthesis.bilinear_gains import (
     STRICT,
     Matrix,
     feedback_gain,
-    input_slope_columns,
+    input_vector_slopes,
     observer_gains,
     solve_or_raise,
     symmetric_solution_matrix,
@@ -54,7 +54,7 @@ class BilinearSynthesis:
         require_positive("input_weight", self.input_weight, "try 1")
         require_positive("sensor_noise", self.sensor_noise, "try 0.05")
 
-    def design(self, model: Bilinear) -> BilinearCertificates:
+    def design(self, model: Bilinear) -> BilinearDesign:
         """Design controller and observer of a bilinear model, and certify their closed loop."""
         try:
             k = feedback_gain(model, self.input_weight)
@@ -65,9 +65,7 @@ class BilinearSynthesis:
             output_count = len(model.c)
             gains = np.zeros((node_count, model.order, output_count))
             failure_text = str(failure)
-            return BilinearCertificates(
-                k=k, l_nodes=gains, parts={}, reasons={"gains": failure_text}
-            )
+            return BilinearDesign(k=k, l_nodes=gains, parts={}, reasons={"gains": failure_text})
         loop = LoopVertices(model=model, k=k, gains=gains)
         parts: dict[str, Theorem] = {}
         reasons: dict[str, str] = {}
@@ -81,7 +79,7 @@ class BilinearSynthesis:
                 parts[label] = certify(loop)
             except NoSolution as failure:
                 reasons[label] = str(failure)
-        return BilinearCertificates(k=k, l_nodes=gains, parts=parts, reasons=reasons)
+        return BilinearDesign(k=k, l_nodes=gains, parts=parts, reasons=reasons)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,10 +103,10 @@ class LoopVertices:
     def closed_loop_matrices(self) -> list[Matrix]:
         """Closed-loop matrices `A_i + B_k K` for all input levels i and segments k."""
         state_matrices = self.model.a
-        return [a + b @ self.k for a in state_matrices for b in input_slope_columns(self.model)]
+        return [a + b @ self.k for a in state_matrices for b in input_vector_slopes(self.model)]
 
     @cached_property
-    def error_matrices(self) -> list[Matrix]:
+    def estimation_error_matrices(self) -> list[Matrix]:
         """Matrices `A_i + L_i C` of the estimation error at all input levels (nodes)."""
         pairs = zip(self.model.a, self.gains, strict=True)
         return [a + gain @ self.model.c for a, gain in pairs]
@@ -136,10 +134,12 @@ class LoopVertices:
         )
 
     @cached_property
-    def error_metric(self) -> Matrix:
+    def estimation_error_metric(self) -> Matrix:
         """Metric in which the estimation error contracts."""
         reason = "no metric is found in which the observer's error shrinks"
-        return contraction_metric(self.error_matrices, self.smallest_allowed_metric, reason)
+        return contraction_metric(
+            self.estimation_error_matrices, self.smallest_allowed_metric, reason
+        )
 
 
 def contraction_metric(matrices: list[Matrix], least_metric: Matrix, failure_reason: str) -> Matrix:
@@ -231,9 +231,9 @@ def observer_fields(loop: LoopVertices, p: Matrix, least_factor: float) -> dict[
     """Fields that every certificate of a bilinear closed loop with an observer stores: observer
     gains and their metric."""
     model = loop.model
-    m = loop.error_metric
-    factor_observer = largest_norm_ratio(loop.error_matrices, m)
-    columns = input_slope_columns(model)
+    m = loop.estimation_error_metric
+    factor_observer = largest_norm_ratio(loop.estimation_error_matrices, m)
+    columns = input_vector_slopes(model)
     coupling = max(gain_between_metrics(b @ loop.k, m, p) for b in columns)
     through_observer = factor_observer + OBSERVER_SHARE * (1.0 - factor_observer)
     back_off = BACK_OFF * (1.0 - least_factor)
@@ -260,7 +260,7 @@ def certify_bilinear_loop(loop: LoopVertices) -> BilinearLoop:
     numbers = model_and_feedback_fields(loop, loop.state_metric)
     numbers |= observer_fields(loop, loop.state_metric, numbers["factor_controller"])
     gain_state = gain_between_metrics(loop.k, loop.state_metric)
-    gain_error = gain_between_metrics(loop.k, loop.error_metric)
+    gain_error = gain_between_metrics(loop.k, loop.estimation_error_metric)
     reach_of_error = gain_error / numbers["weight"]
     reach = max(gain_state, reach_of_error)
     numbers["gain_state"] = gain_state

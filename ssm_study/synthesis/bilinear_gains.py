@@ -19,7 +19,7 @@ DRIFT = 0.05  # variance of the state's drift in a sample, as a share of its sec
 Matrix = Float[np.ndarray, "n n"]
 
 
-def input_slope_columns(model: Bilinear) -> Float[np.ndarray, "s n 1"]:
+def input_vector_slopes(model: Bilinear) -> Float[np.ndarray, "s n 1"]:
     """Slopes `B_k` of a bilinear model's input vector b between neighbouring input levels (nodes),
     as columns."""
     node_distances = np.diff(model.nodes)
@@ -66,7 +66,7 @@ def feedback_gain(model: Bilinear, input_weight: float) -> Float[np.ndarray, "1 
     outputs = model.c @ w
     inputs = np.sqrt(input_weight) * z
     for a in model.a:
-        for b in input_slope_columns(model):
+        for b in input_vector_slopes(model):
             closed = a @ w + b @ z
             zeros = np.zeros((n, p + 1))
             cost = cp.vstack([outputs, inputs])

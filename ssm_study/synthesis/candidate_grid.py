@@ -48,19 +48,19 @@ class CandidateGrid:
     input_weights: Sequence[float]
     output_noises: Sequence[float]
     integral_weights: Sequence[float]
-    modes: tuple[str, ...]
+    internal_model_signals: tuple[str, ...]
 
     def riccati_settings(self) -> list[RiccatiSynthesis]:
         """Settings of the Riccati syntheses of the grid, one for each weight of the internal model
         (integral action)."""
         weights: Sequence[float] = INTEGRAL_WEIGHTS[:1]
-        if self.modes:
+        if self.internal_model_signals:
             weights = tuple(self.integral_weights) or INTEGRAL_WEIGHTS
         return [
             RiccatiSynthesis(
                 rate_controller=0.5,
                 rate_observer=0.5,
-                internal_model=self.modes,
+                internal_model=self.internal_model_signals,
                 state_weight=STATE_WEIGHT,
                 integral_weight=weight,
             )
@@ -79,9 +79,11 @@ class CandidateGrid:
         controllers: list[GainCandidate] = []
         for specification in specifications:
             controlled = model.system
-            if specification.modes:
+            if specification.internal_model_signals:
                 weight = specification.integral_weight
-                controlled = append_internal_model(model, specification.modes, weight)
+                controlled = append_internal_model(
+                    model, specification.internal_model_signals, weight
+                )
             side = self.solve_gains(specification, controlled, balls.input, False, rest)
             controllers += side.candidates
             unsolved += side.unsolved
@@ -107,10 +109,10 @@ class CandidateGrid:
     def _internal_model(self, model: Model) -> Float[np.ndarray, "z z"] | None:
         """State matrix of the controller's internal model at the sampling time of a model; None
         without integral action."""
-        if not self.modes:
+        if not self.internal_model_signals:
             return None
         outputs = model.scale.outputs
-        return internal_model(self.modes, model.step_s, outputs)
+        return internal_model(self.internal_model_signals, model.step_s, outputs)
 
     def solve_gains(
         self,

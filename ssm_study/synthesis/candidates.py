@@ -35,7 +35,7 @@ class GainCandidates:
         observers = pair_indices[..., 1]
         return Gains(k=k, l=self.ls[observers], l_z=l_zs, internal=self.internal)
 
-    def specification(self, pair_indices: Int[np.ndarray, "2"]) -> RiccatiSynthesis:
+    def synthesis_settings(self, pair_indices: Int[np.ndarray, "2"]) -> RiccatiSynthesis:
         """Settings of the Riccati synthesis that gives the gains of one pair of controller and
         observer."""
         feedback = self.feedback[pair_indices[0]]

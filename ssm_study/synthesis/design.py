@@ -310,7 +310,7 @@ class Synthesis(ABC):
         count_modes_by_frequency(self.internal_model)
 
     @property
-    def modes(self) -> tuple[str, ...]:
+    def internal_model_signals(self) -> tuple[str, ...]:
         """Names of the signals that the internal model generates, such as `step` and `sine`."""
         return tuple(self.internal_model)
 
@@ -329,7 +329,9 @@ class Synthesis(ABC):
         """Design controller and observer of a model, each independently of the other."""
         system = getattr(model, "system", model.linear)
         controlled = (
-            append_internal_model(model, self.modes, self.integral_weight) if self.modes else system
+            append_internal_model(model, self.internal_model_signals, self.integral_weight)
+            if self.internal_model_signals
+            else system
         )
         feedback = self.state_feedback(controlled, balls.input)
         observer = self.observer(system, balls.output)

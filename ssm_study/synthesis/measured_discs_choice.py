@@ -21,7 +21,7 @@ from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.models.structured import Model
 from ssm_study.robustness.coverage import ModelErrorSpectra
 from ssm_study.robustness.coverage_items import DiscRequirement
-from ssm_study.synthesis.measured_discs_run import exclusion_reason, seeks_coverage
+from ssm_study.synthesis.measured_discs_run import seeks_coverage, uncertifiable_loop_reason
 from ssm_study.systems import JacobianBalls, StructuredSystem
 
 LOOKED_AT = (0, 1, 2, 4, 7, 11, 16, 23, 32, 45, 60, 85, 120, 170, 240, 320)  # of one layer
@@ -67,11 +67,13 @@ def choose_covering_design(
     walk = GainPairSearch(
         pairs=iter(enumerate(pairs)), make=make_design, places=places, lost=lost, target=target
     )
-    first = walk.first_design()
+    first = walk.first_certified_design()
     sought = premise is not None and seeks_coverage(model, requested_coverage, premise)
     if first is None or premise is None or not sought:
         return first, PREDICTED
-    if premise.insufficient_records_reason(0.0) is not None or exclusion_reason(first, model):
+    if premise.insufficient_records_reason(0.0) is not None or uncertifiable_loop_reason(
+        first, model
+    ):
         return first, PREDICTED
 
     deciding: dict[float, Any] = {}
@@ -123,7 +125,7 @@ class GainPairSearch:
     largest: float = 0.0
     unseen: Design | None = None
 
-    def first_design(self) -> Design | None:
+    def first_certified_design(self) -> Design | None:
         """Certified design with the best expected response on the plant, the first in a search
         through gain pairs."""
         for place, pair in self.pairs:

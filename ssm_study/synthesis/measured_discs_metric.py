@@ -98,7 +98,7 @@ def metric_candidates(
 def lmi_margin(theorem: type[MeasuredDiscs], numbers: dict[str, Any]) -> float:
     """Smallest floating-point eigenvalue of the matrices that a theorem requires to be positive
     definite, each scaled to unit diagonal."""
-    matrices = theorem.as_floats(**numbers)
+    matrices = theorem.float_conditions(**numbers)
     smallest_eigenvalues = []
     for name in ("inequality", "p"):
         eigenvalues = np.linalg.eigvalsh(matrices[name])

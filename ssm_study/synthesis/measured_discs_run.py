@@ -52,7 +52,7 @@ def add_coverage_certificate(
     as possible. Without such a certificate the design stays unchanged."""
     if (
         not design.feasible
-        or exclusion_reason(design, model)
+        or uncertifiable_loop_reason(design, model)
         or premise.insufficient_records_reason(0.0) is not None
     ):
         return design
@@ -76,9 +76,9 @@ def add_coverage_certificate(
     return replace(design, extra_certificates=extra)
 
 
-def exclusion_reason(design: Design, model: Model) -> str | None:
-    """Reason why no certificate against model errors is possible for the loop of a design; None if
-    one is possible."""
+def uncertifiable_loop_reason(design: Design, model: Model) -> str | None:
+    """Reason why a design's closed loop cannot be certified against model errors; None if it can
+    be."""
     observer = design.observer
     injects = isinstance(observer, Observer) and np.any(getattr(observer, "l_z", 0.0))
     reaches_output = getattr(model.system, "h", np.zeros(1)).any()
@@ -100,7 +100,9 @@ def coverage_columns(
         sought = seeks_coverage(model, None, premise)
         unproved = UNPROVED if sought else UNSOUGHT
         reason = (
-            exclusion_reason(design, model) or premise.insufficient_records_reason(0.0) or unproved
+            uncertifiable_loop_reason(design, model)
+            or premise.insufficient_records_reason(0.0)
+            or unproved
         )
         return {"coverage": None, "coverage_reason": reason}
     missing = premise.insufficient_records_reason(part.centre)

@@ -95,7 +95,7 @@ def certify_largest_radius(
         forms = LoopForms.from_context(theorem, context, (centre,))
         for share in radius_factors:
             smaller_nu = nu * share**2
-            multipliers, margin = _largest_margin(
+            multipliers, margin = _maximise_margin(
                 forms, weights, centre, smaller_nu, multipliers, deciding
             )
             kappa = smaller_nu**0.5
@@ -200,7 +200,7 @@ def _program_at_fixed_weights(
     return program, scale
 
 
-def _largest_margin(
+def _maximise_margin(
     forms: LoopForms,
     weights: DiscWeights,
     centre: float,

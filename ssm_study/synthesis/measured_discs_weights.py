@@ -154,7 +154,7 @@ class WeightProgram:
     tolerance: float = JOINT
 
     @property
-    def unknown_matrices(self) -> Any:
+    def coefficient_matrices(self) -> Any:
         """Coefficient matrix of each unknown of the weight optimisation in the constraint at each
         frequency."""
         angles = self.grid.angles
@@ -177,7 +177,7 @@ class WeightProgram:
             rows.append(reference / item.seen)
         return np.array(rows)
 
-    def weight_rows(self) -> tuple[Float[np.ndarray, "R n"], Bounds]:
+    def weight_positivity_rows(self) -> tuple[Float[np.ndarray, "R n"], Bounds]:
         """Linear constraints, as coefficient rows with lower bounds, that keep both weights of a
         disc of model errors positive. X exceeds `c^2`, so that the disc contains `e = 0`, and
         neither comes near zero."""
@@ -210,7 +210,7 @@ class WeightProgram:
         The search begins at the given angles, such as those that decided similar gains. Where the
         radius is below `least_squared_radius`, an upper bound that is below it, too, is returned.
         """
-        linear = self.unknown_matrices
+        linear = self.coefficient_matrices
         scale = form_norms(linear)
         count = len(scale)
         rows, bounds = self._constraints_with_radius(scale)
@@ -247,7 +247,7 @@ class WeightProgram:
         """
         weights = self.coefficient_count
         multipliers = len(scale) - weights
-        rows_xy, least_xy = self.weight_rows()
+        rows_xy, least_xy = self.weight_positivity_rows()
         requirement_rows = self.requirement_coefficients()
         requirements = len(requirement_rows)
         unscaled_rows = np.concatenate([requirement_rows, rows_xy])
@@ -280,7 +280,7 @@ class WeightProgram:
         own = initial_weights(self.forms, self.centre, multipliers)
         root = 1 / np.sqrt(own)
         units = np.outer(root, root)  # each free signal in units of its own weight
-        linear = self.unknown_matrices * units
+        linear = self.coefficient_matrices * units
         scale = form_norms(linear)
         count = len(scale)
         rows, bounds, bands = self._constraints_with_widening(scale, squared_radius)
@@ -309,7 +309,7 @@ class WeightProgram:
         """
         weights = self.coefficient_count
         multipliers = len(scale) - weights
-        rows_xy, least_xy = self.weight_rows()
+        rows_xy, least_xy = self.weight_positivity_rows()
         requirement_rows = self.requirement_coefficients()
         requirements = len(requirement_rows)
         places = sorted({item.place for item in self.items})

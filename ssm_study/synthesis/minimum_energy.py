@@ -83,10 +83,10 @@ def minimum_energy_gain(
     `widens_ball` designs for a ball between the asked one and the widest possible at this r.
     """
     m = modes.b_fast.shape[1]
-    if modes.fast_count == 0:
+    if modes.fast_mode_count == 0:
         p = np.zeros((0, 0))
-        fast_count = len(modes.left)
-        return FastGain(k=np.zeros((m, fast_count)), p=p)
+        fast_mode_count = len(modes.left)
+        return FastGain(k=np.zeros((m, fast_mode_count)), p=p)
     ah = modes.a_fast / contraction
     bh = modes.b_fast / contraction
     root = inverse_time_gramian_root(ah, bh)
@@ -103,7 +103,7 @@ def minimum_energy_gain(
     widest = 1 / np.sqrt(1 + largest_energy)
     if widens_ball:
         delta = max(np.sqrt(delta * widest), widest / 2)
-    fast_coordinates = modes.left[: modes.fast_count]
+    fast_coordinates = modes.left[: modes.fast_mode_count]
     remaining = 1 - delta**2
     divisor = remaining * ball.alpha
     k = k0_root @ fast_coordinates / divisor

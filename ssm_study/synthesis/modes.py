@@ -41,7 +41,7 @@ class Modes:
     b_slow: Float[np.ndarray, "s m"]
 
     @property
-    def fast_count(self) -> int:
+    def fast_mode_count(self) -> int:
         """Number of fast modes of a system, the modes outside a circle of given radius."""
         return len(self.a_fast)
 
@@ -91,7 +91,7 @@ def weighted_block_metric(problem: Problem, modes: Modes, fast_gain: FastGain) -
 
     `P_slow` is the inverse of the Lyapunov metric of the slow modes, `S = Ah^T S Ah + I`.
     """
-    if modes.fast_count == len(modes.left):
+    if modes.fast_mode_count == len(modes.left):
         fast_columns = modes.right @ fast_gain.p
         matrix = fast_columns @ modes.right.T
         return symmetric_part(matrix)
@@ -113,7 +113,7 @@ def weighted_block_metric(problem: Problem, modes: Modes, fast_gain: FastGain) -
     numbers = {"alpha": ball.alpha, "beta": ball.beta, "rate": problem.rate, "sigma": 1.0}
     margins = []
     for p in candidates:
-        conditions = StateFeedbackOfBall.as_floats(a=a, b=b, k=k, p=p, y=p, **numbers)
+        conditions = StateFeedbackOfBall.float_conditions(a=a, b=b, k=k, p=p, y=p, **numbers)
         margins.append(smallest_eigenvalue(conditions["inequality"]))
     best = max(margins)
     if not best > 0:
@@ -133,7 +133,7 @@ def full_metric(
     The equation is that of `least_metric`; docs/theory.md, "When digits run out", says why. Raises
     `NoSolution` without fast modes, or without a solution in floats.
     """
-    if modes.fast_count == 0:
+    if modes.fast_mode_count == 0:
         raise NoSolution("no fast modes: nothing to couple")
     scale = _state_scales(problem, modes, faster_contraction)
     ratio_step = (problem.contraction_factor / faster_contraction) ** BETWEEN
@@ -147,7 +147,7 @@ def _state_scales(problem: Problem, modes: Modes, faster_contraction: float) -> 
     """Matrix that scales the fast and slow modes of a system by their control energies."""
     a = modes.a_fast / faster_contraction
     root = inverse_time_gramian_root(a, modes.b_fast / faster_contraction)
-    slow = len(modes.left) - modes.fast_count
+    slow = len(modes.left) - modes.fast_mode_count
     if slow == 0:
         return root
     reach = modes.b_slow @ modes.b_slow.T

@@ -16,7 +16,7 @@ from ssm_study.models.warm_start import PAST, SAMPLES, states_from_preceding_log
 from ssm_study.signals import DataSet, Trajectory
 from ssm_study.systems import StateSpace
 from ssm_study.training.metrics import records_fit_percent
-from ssm_study.training.short_starts import STEPS, spec_for_short_training
+from ssm_study.training.short_starts import STEPS, settings_for_short_training
 from ssm_study.training.structured_fit import StructuredFit
 
 LINEAR = "linear output error"
@@ -43,8 +43,8 @@ class Candidate:
     fold.
 
     Errors are those of `relative_rms_error`. Folds that were left out, because the candidate was
-    far behind, are missing at the end of `errors`. `best_start_kind` says from where the held-out
-    pieces were simulated, `example` is the model trained without the last fold.
+    far behind, are missing at the end of `errors`. `best_initial_state_source` says from where the
+    held-out pieces were simulated, `example` is the model trained without the last fold.
     """
 
     question: str
@@ -226,7 +226,7 @@ class CandidateErrors:
         self.add_error_on_fold(model, fold, 100.0 * relative_error)
 
     @property
-    def best_start_kind(self) -> str:
+    def best_initial_state_source(self) -> str:
         """Way of finding initial states that gives the smaller mean error of a candidate."""
         errors_with_past = self.by_start[PAST]
         errors_with_samples = self.by_start[SAMPLES]
@@ -236,7 +236,7 @@ class CandidateErrors:
     def errors(self) -> Float[np.ndarray, "folds"]:
         """Errors of a candidate model on the folds, for the better of two ways of finding initial
         states."""
-        errors_of_kind = self.by_start[self.best_start_kind]
+        errors_of_kind = self.by_start[self.best_initial_state_source]
         return np.array(errors_of_kind)
 
 
@@ -326,7 +326,7 @@ def cross_validate_structured_model(
 ) -> CandidateErrors:
     """Train a structured model briefly on every cross-validation fold, and compute its errors on
     the held-out parts. The last folds are left out if it is far behind `best`."""
-    brief = spec_for_short_training(spec)
+    brief = settings_for_short_training(spec)
     trial = CandidateErrors()
     for fold in folds:
         if best is not None and is_far_worse_than_best(trial.errors, best):

@@ -52,7 +52,7 @@ def iterate_model_choices(
     choose_input_path(search)
     candidates = try_model_sizes(search, also_integrating=also_integrating)
     if not candidates:
-        yield search.build_choice(None)
+        yield search.build_settings_choice(None)
         return
     regressions = score_regressions(search)
     predictor = choose_bilinear_model(search, data)
@@ -61,11 +61,11 @@ def iterate_model_choices(
         if regression is None:
             candidates = add_clearly_better_regression(candidates, regressions)
         else:
-            yield search.build_choice(regression)
+            yield search.build_settings_choice(regression)
     while candidates:
         chosen = simplest_certifiable_candidate(search, candidates)
         others = models_of_other_structure(candidates, chosen)
-        choice = search.build_choice(chosen, others)
+        choice = search.build_settings_choice(chosen, others)
         yield replace(choice, predictor=predictor)
         if not search.is_certifiable(chosen):  # then none of them can
             return

@@ -79,7 +79,7 @@ def bilinear_errors_on_folds(spec: BilinearSpec, folds: Sequence[DataSet]) -> Ca
     trial = CandidateErrors()
     for fold in folds:
         with np.errstate(all="ignore"):
-            model = spec.solve(fold)
+            model = spec.fit_model(fold)
             run = Simulation.simulate_records(model, fold.test, fold.start_up_samples)
             error = relative_rms_error(run, fold)
             fit_training = records_fit_percent(model, fold.training, fold)

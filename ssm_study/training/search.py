@@ -179,7 +179,7 @@ class SettingsSearch:
             model=model,
             settings=settings,
             errors=errors.errors,
-            start=errors.best_start_kind,
+            start=errors.best_initial_state_source,
             example=errors.example,
             training_error=training_error,
             fits=fits,
@@ -199,7 +199,7 @@ class SettingsSearch:
         self.chosen.append(candidate)
         self.decided |= {name: value for name, value in settings.items() if self.is_undecided(name)}
 
-    def build_choice(
+    def build_settings_choice(
         self, candidate: Candidate | None, others: Sequence[Candidate] = ()
     ) -> SettingsChoice:
         """Build the final choice of model settings from all decided settings and a candidate
@@ -211,15 +211,15 @@ class SettingsSearch:
             chosen.append(candidate)
             error = candidate.mean_error_percent
             linear_kind = candidate.model if candidate.model in LINEAR_KINDS else None
-        decided_specs = (self._candidate_spec(other) for other in others)
+        decided_specs = (self._candidate_settings(other) for other in others)
         other_specs = tuple(decided_specs)
-        spec = self._candidate_spec(candidate)
+        spec = self._candidate_settings(candidate)
         rows = self.candidate_rows(chosen)
         return SettingsChoice(
             spec=spec, rows=rows, error=error, linear_kind=linear_kind, others=other_specs
         )
 
-    def _candidate_spec(self, candidate: Candidate | None) -> StructuredSpec:
+    def _candidate_settings(self, candidate: Candidate | None) -> StructuredSpec:
         """Model settings with all values decided so far and with the size of a candidate model."""
         decided = dict(self.decided)
         if candidate is not None:

@@ -17,7 +17,7 @@ STEPS = 20  # of a short training, inside the contracting set
 DRAWS = 3  # of several random neurons for such a training
 
 
-def spec_for_short_training(spec: StructuredSpec) -> StructuredSpec:
+def settings_for_short_training(spec: StructuredSpec) -> StructuredSpec:
     """Model settings for short training runs, with fewer random draws of initial neurons.
 
     A single neuron is drawn as often as ever: its draws are cheap, and more of them end badly.

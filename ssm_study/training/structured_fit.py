@@ -123,22 +123,22 @@ class StructuredFit(pl.LightningModule):
         start = self._initial_parameters()
         if self.problem.gain_share:
             start = self._train_without_gain_penalty(start)
-        at = minimise_simulation_error(self.problem, start, self._trained_blocks, steps)
+        at = minimise_simulation_error(self.problem, start, self._trained_block_names, steps)
         self._store_descent_state(at)
 
     def continue_training(self, steps: int) -> None:
         """Continue a training by a limited number of steps."""
-        at = self._current_descent_state
+        at = self._descent_state
         before = np.inf
         for _ in range(steps):
             if has_converged(before, at.loss, at.damping):
                 break
             before = at.loss
-            at = take_step(self.problem, at, self._trained_blocks)
+            at = take_step(self.problem, at, self._trained_block_names)
         self._store_descent_state(at)
 
     @property
-    def _current_descent_state(self) -> DescentState:
+    def _descent_state(self) -> DescentState:
         """Current parameters, loss and damping of the training, read from the module's buffers."""
         theta = {name: part.copy() for name, part in self.parameter_blocks.items()}
         return DescentState(theta=theta, loss=float(self.loss), damping=float(self.damping))
@@ -147,7 +147,7 @@ class StructuredFit(pl.LightningModule):
         """Parameters after some training steps without the penalty on the sign of the model's gain.
         With the penalty from the beginning, the training would end in far worse local minima."""
         free = replace(self.problem, gain_share=0.0)
-        descent = minimise_simulation_error(free, start, self._trained_blocks, UNPENALISED)
+        descent = minimise_simulation_error(free, start, self._trained_block_names, UNPENALISED)
         return descent.theta
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are in the problem
@@ -155,11 +155,11 @@ class StructuredFit(pl.LightningModule):
         if torch.isnan(self.loss):
             self.start_training(0)
             return
-        next_descent = take_step(self.problem, self._current_descent_state, self._trained_blocks)
+        next_descent = take_step(self.problem, self._descent_state, self._trained_block_names)
         self._store_descent_state(next_descent)
 
     @property
-    def _trained_blocks(self) -> tuple[str, ...]:
+    def _trained_block_names(self) -> tuple[str, ...]:
         """Names of the parameter blocks of a structured model that training changes."""
         rate = self.spec.rate
         core = CORE if rate is None else FREE_CORE
@@ -270,7 +270,7 @@ class StructuredFit(pl.LightningModule):
         """Identified structured model with the current parameters of the training. The running sum
         of `integrating_output` is one more state per output."""
         theta = self.parameter_blocks
-        matrices = self.problem.matrices(theta)
+        matrices = self.problem.kernel_matrices(theta)
         parts: dict[str, Any] = matrices._asdict()
         del parts["kinds"]
         if self.integrates:

@@ -56,7 +56,7 @@ class SimulationProblem:
         """Weight of the ridge penalty on one block of parameters."""
         return 0.0 if block in UNWEIGHTED else self.ridge
 
-    def matrices(self, theta: Theta) -> KernelMatrices:
+    def kernel_matrices(self, theta: Theta) -> KernelMatrices:
         """Matrices of the recurrence in the layout for compiled code, from the trainable
         parameters."""
         if self.rate is not None:
@@ -81,7 +81,7 @@ class SimulationProblem:
         mapped = self.lift.evaluate(theta["scaffold_in"], self.records.u)
         v = np.ascontiguousarray(mapped)
         x0, _ = self.initial_conditions(theta)
-        matrices = self.matrices(theta)
+        matrices = self.kernel_matrices(theta)
         ybar, states = simulate_compiled(matrices, v, x0)
         return v, ybar, states
 
@@ -111,7 +111,7 @@ class SimulationProblem:
         is_asked = self.gain_share > 0.0 and 0 < len(self.neurons) <= MOST_NEURONS
         if not is_asked or (inputs, self.read.channels) != (1, 1):
             return np.zeros(0)
-        matrices = self.matrices(theta)
+        matrices = self.kernel_matrices(theta)
         return gain_shortfall(matrices, self.gain_share)
 
     def gain_sign_residuals_and_jacobian(
@@ -171,7 +171,7 @@ class SimulationProblem:
         u, target, _ = self.records
         v, _, by_input_map = self.lift.evaluate_with_derivatives(theta["scaffold_in"], u)
         x0, begun = self.initial_conditions(theta)
-        matrices = self.matrices(theta)
+        matrices = self.kernel_matrices(theta)
         channels = self.lift.parameter_channels
         y, columns = simulate_with_sensitivities(matrices, v, x0, by_input_map, channels)
         self._zero_disturbance_feedthrough(columns)

@@ -88,7 +88,7 @@ class Training:
         refuse_unsupported_disturbances(spec, data)
         began = time.perf_counter()
         if isinstance(spec, SolvedSpec):
-            model = spec.solve(data)
+            model = spec.fit_model(data)
             seconds = time.perf_counter() - began
             return Identification.from_model(
                 model, data, seconds=seconds, curve=[], ended="solved without training"
@@ -136,7 +136,7 @@ class Training:
         assert best is not None
         if choice.predictor is not None:
             records = join_training_and_validation(data) if spec.refit else data
-            predictor = choice.predictor.solve(records)
+            predictor = choice.predictor.fit_model(records)
             best = replace(best, members=(predictor,))
         now_s = time.perf_counter()
         return replace(best, seconds=now_s - began)
@@ -221,10 +221,10 @@ class Training:
         from ssm_study.training.short_starts import (
             best_seeds,
             count_short_and_full_runs,
-            spec_for_short_training,
+            settings_for_short_training,
         )
 
-        brief = spec_for_short_training(spec)
+        brief = settings_for_short_training(spec)
         announce = make_progress_printer(session.progress, "short starts")
         start_counts = count_short_and_full_runs(spec)
         seeds = best_seeds(brief, data, session.seed, *start_counts, announce)

@@ -120,7 +120,7 @@ def test_gains_at_frozen_slopes_are_taken_where_they_are_proved_for_every_slope(
     candidates = replace(SMALL, **FEW).compute_candidates(stand, balls)
     frozen = [i for i, made in enumerate(candidates.feedback) if made.near[False].logs is None]
     assert frozen
-    design = candidates.specification(np.array([frozen[0], 0])).design(stand, balls)
+    design = candidates.synthesis_settings(np.array([frozen[0], 0])).design(stand, balls)
     assert design.certified
     actual = design.state_feedback.k
     expected = candidates.ks[frozen[0]]
@@ -307,7 +307,7 @@ def test_each_candidate_is_the_gain_of_its_specification():
     assert integral_weights == {1e-3, 1e-2}
     last = np.array([len(candidates.ks) - 1, len(candidates.ls) - 1])
     for pair in (np.array([0, 0]), last // 2, last):
-        asked = candidates.specification(pair)
+        asked = candidates.synthesis_settings(pair)
         design = asked.design(motor_model(), BALLS)
         actual = design.state_feedback.k
         expected = candidates.ks[pair[0]]

@@ -69,7 +69,7 @@ def test_the_folds_prefer_products_on_a_plant_that_has_them(data: DataSet) -> No
     row = rows[1]
     assert row["model"] == "products of input and state"
     assert row["chosen"]
-    choice = search.build_choice(linear)
+    choice = search.build_settings_choice(linear)
     changed_choice = replace(choice, predictor=chosen)
     words = changed_choice.describe(["order"])
     assert words.endswith("products of input and state predict")

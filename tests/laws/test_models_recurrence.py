@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ssm_study.models import torch_recurrence as recurrence
 from ssm_study.models.initial_system import (
-    draw_modes_on_ring,
+    draw_stable_system,
     estimate_initial_system,
     output_regression_coefficient,
 )
@@ -62,7 +62,7 @@ def unit(
     rng = np.random.default_rng(seed)
     frequency = (0.05, 2.0)
     channels = (m, p)
-    start = draw_modes_on_ring(order, real_modes, radius, frequency, channels, rng)
+    start = draw_stable_system(order, real_modes, radius, frequency, channels, rng)
     return LRU(start, feedthrough=True)
 
 

@@ -135,4 +135,4 @@ def test_a_baseline_whose_package_is_missing_says_how_to_get_it(
 
     monkeypatch.setattr("ssm_study.models.baselines.solved.import_module", absent)
     with pytest.raises(BadRequest, match="pip install"):
-        read("model", "n4sid").solve(data_set())
+        read("model", "n4sid").fit_model(data_set())

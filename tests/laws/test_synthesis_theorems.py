@@ -156,7 +156,7 @@ def test_a_hypothesis_on_a_number_is_a_condition_too(inputs: int, holds: bool) -
 
     numbers = {"p": np.eye(2), "b": np.ones((2, inputs))}
     assert OfOneInput.holds(**numbers) is holds
-    in_floats = OfOneInput.as_floats(**numbers)
+    in_floats = OfOneInput.float_conditions(**numbers)
     assert in_floats["one input"].shape == (1, 1)
 
 

@@ -269,7 +269,7 @@ def test_a_held_out_piece_starts_from_where_its_output_is_predicted_better() -> 
     trial = CandidateErrors()
     changed_data = replace(data, scale=model.scale, start_up_samples=20)
     trial.add_error_on_fold(model, changed_data)
-    assert trial.best_start_kind == "past"
+    assert trial.best_initial_state_source == "past"
     upper_limit = trial.by_start["samples"][0]
     assert trial.errors[0] < upper_limit
 

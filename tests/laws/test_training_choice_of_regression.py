@@ -105,7 +105,7 @@ def test_a_regression_is_taken_where_folds_cannot_tell(loaded: DataSet, tmp_path
     smaller = [other for other in search.tried if other.settings["order"] < order]
     best = min(search.tried, key=lambda other: other.mean_error_percent)
     assert all(other.is_clearly_worse(best) for other in smaller)
-    chosen = search.build_choice(tried)
+    chosen = search.build_settings_choice(tried)
     assert chosen.linear_kind == REGRESSION
     session = TrainingSession(seed=0, folder=tmp_path)
     identified = TRAINING._train_chosen_model(chosen, loaded, session)

@@ -69,7 +69,7 @@ def integrating(gain_share: float) -> SimulationProblem:
 def gains_of(theta: Theta) -> np.ndarray:
     """Gains at the corners of the slopes."""
     problem = integrating(0.0)
-    matrices = problem.matrices(theta)
+    matrices = problem.kernel_matrices(theta)
     return gains_at_extreme_slopes(matrices)
 
 

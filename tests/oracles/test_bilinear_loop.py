@@ -12,10 +12,7 @@ import pytest
 from test_models_bilinear import known_model
 
 from ssm_study.api.rest_design import RestDesign, equilibrium_input_range, equilibrium_state
-from ssm_study.certificates.bilinear_certificates import (
-    BilinearCertificates,
-    failed_bilinear_checks,
-)
+from ssm_study.certificates.bilinear_certificates import BilinearDesign, failed_bilinear_checks
 from ssm_study.certificates.theorems.bilinear_contraction import BilinearContraction
 from ssm_study.certificates.theorems.bilinear_everywhere import BilinearEverywhere
 from ssm_study.certificates.theorems.bilinear_loop import BilinearLoop
@@ -27,7 +24,7 @@ from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel, Scale
 from ssm_study.study.verify import verify
 from ssm_study.synthesis.bilinear_design import BilinearSynthesis
-from ssm_study.synthesis.bilinear_gains import input_slope_columns
+from ssm_study.synthesis.bilinear_gains import input_vector_slopes
 
 INPUT_CHANNEL = Channel(name="u", unit="V")
 OUTPUT_CHANNEL = Channel(name="y", unit="m")
@@ -36,13 +33,13 @@ CASES = 400
 
 
 @pytest.fixture(scope="module")
-def certificates() -> BilinearCertificates:
+def certificates() -> BilinearDesign:
     model = known_model()
     return BilinearSynthesis().design(model)
 
 
 @pytest.fixture
-def controller(certificates: BilinearCertificates) -> BilinearFeedback:
+def controller(certificates: BilinearDesign) -> BilinearFeedback:
     model = known_model()
     return BilinearFeedback(model=model, k=certificates.k, l_nodes=certificates.l_nodes)
 
@@ -80,7 +77,7 @@ def random_starts(part: BilinearLoop | BilinearEverywhere, size: float) -> tuple
 
 
 def test_the_loop_comes_to_rest_as_certified(
-    certificates: BilinearCertificates, controller: BilinearFeedback
+    certificates: BilinearDesign, controller: BilinearFeedback
 ) -> None:
     part = certificates.parts["bilinear_loop"]
     assert isinstance(part, BilinearLoop)
@@ -101,7 +98,7 @@ def test_the_loop_comes_to_rest_as_certified(
 
 
 def test_from_far_away_the_cut_loop_comes_to_rest_as_certified(
-    certificates: BilinearCertificates, controller: BilinearFeedback
+    certificates: BilinearDesign, controller: BilinearFeedback
 ) -> None:
     part = certificates.parts["bilinear_everywhere"]
     assert isinstance(part, BilinearEverywhere)
@@ -125,7 +122,7 @@ def test_from_far_away_the_cut_loop_comes_to_rest_as_certified(
 
 
 def test_two_motions_approach_each_other_inside_the_set_as_certified(
-    certificates: BilinearCertificates,
+    certificates: BilinearDesign,
 ) -> None:
     part = certificates.parts["bilinear_contraction"]
     assert isinstance(part, BilinearContraction)
@@ -176,7 +173,7 @@ def test_contraction_fails_far_from_rest() -> None:
     assert distance_after > 0.12  # before: 0.1
 
 
-def test_the_vertices_hold_between_the_nodes(certificates: BilinearCertificates) -> None:
+def test_the_vertices_hold_between_the_nodes(certificates: BilinearDesign) -> None:
     """A second route: the loop's matrix at many inputs, from the hat functions themselves."""
     part = certificates.parts["bilinear_loop"]
     assert isinstance(part, BilinearLoop)
@@ -199,7 +196,7 @@ def test_the_vertices_hold_between_the_nodes(certificates: BilinearCertificates)
 
 
 @pytest.mark.parametrize("label", ["bilinear_loop", "bilinear_everywhere", "bilinear_contraction"])
-def test_what_is_not_so_is_refused(certificates: BilinearCertificates, label: str) -> None:
+def test_what_is_not_so_is_refused(certificates: BilinearDesign, label: str) -> None:
     """Each number of a certificate, changed to claim more."""
     part = certificates.parts[label]
     numbers = part.variables
@@ -219,7 +216,7 @@ def test_what_is_not_so_is_refused(certificates: BilinearCertificates, label: st
 
 
 def test_a_stored_design_is_verified_and_a_lie_is_named(
-    certificates: BilinearCertificates, tmp_path: Path
+    certificates: BilinearDesign, tmp_path: Path
 ) -> None:
     design = RestDesign(model=known_model(), certificates=certificates, channels=CHANNELS)
     folder = design.save(tmp_path / "design")
@@ -242,7 +239,7 @@ def test_a_stored_design_is_verified_and_a_lie_is_named(
 
 
 def test_a_record_beside_a_saved_design_is_named_and_not_shown(
-    certificates: BilinearCertificates, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    certificates: BilinearDesign, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Any run folder would be verified by the certificates of a design that lies in it."""
     design = RestDesign(model=known_model(), certificates=certificates, channels=CHANNELS)
@@ -262,7 +259,7 @@ def test_a_record_beside_a_saved_design_is_named_and_not_shown(
 
 
 def test_the_commands_take_a_saved_design(
-    certificates: BilinearCertificates, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    certificates: BilinearDesign, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     design = RestDesign(model=known_model(), certificates=certificates, channels=CHANNELS)
     folder = design.save(tmp_path / "design")
@@ -278,9 +275,7 @@ def test_the_commands_take_a_saved_design(
     assert "there is no record.json" in capsys.readouterr().err
 
 
-def test_a_certificate_of_another_model_or_gain_is_refused(
-    certificates: BilinearCertificates,
-) -> None:
+def test_a_certificate_of_another_model_or_gain_is_refused(certificates: BilinearDesign) -> None:
     content = certificates.to_json()
     model = known_model()
     assert failed_bilinear_checks(content, model) == []
@@ -325,7 +320,7 @@ def test_an_input_with_its_rest_at_an_end_is_certified_with_the_cut_alone() -> N
     assert certificates.certified
 
 
-def test_the_loop_settles_sooner_than_the_model_alone(certificates: BilinearCertificates) -> None:
+def test_the_loop_settles_sooner_than_the_model_alone(certificates: BilinearDesign) -> None:
     design = RestDesign(model=known_model(), certificates=certificates, channels=CHANNELS)
     starts = [0.5, -0.5]
     table = design.simulate(starts, horizon_s=3.0)
@@ -339,11 +334,11 @@ def test_the_loop_settles_sooner_than_the_model_alone(certificates: BilinearCert
     part = certificates.parts["bilinear_loop"]
     assert isinstance(part, BilinearLoop)
     assert part.factor_controller < max(radii)
-    columns = input_slope_columns(known_model())
+    columns = input_vector_slopes(known_model())
     assert len(columns) == 2
 
 
-def test_the_named_starts_from_rest_are_in_the_set(certificates: BilinearCertificates) -> None:
+def test_the_named_starts_from_rest_are_in_the_set(certificates: BilinearDesign) -> None:
     part = certificates.parts["bilinear_loop"]
     model = known_model()
     lowest, highest = equilibrium_input_range(model, part)
@@ -362,7 +357,7 @@ def test_the_named_starts_from_rest_are_in_the_set(certificates: BilinearCertifi
 
 @pytest.mark.parametrize("real", ["double", "float"])
 def test_the_compiled_controller_does_the_same(
-    certificates: BilinearCertificates, tmp_path: Path, real: str
+    certificates: BilinearDesign, tmp_path: Path, real: str
 ) -> None:
     compiler = shutil.which("gcc") or shutil.which("cc")
     if compiler is None:
@@ -397,9 +392,7 @@ def test_the_compiled_controller_does_the_same(
     assert returncode == 1
 
 
-def test_a_prefix_that_is_no_name_is_refused(
-    certificates: BilinearCertificates, tmp_path: Path
-) -> None:
+def test_a_prefix_that_is_no_name_is_refused(certificates: BilinearDesign, tmp_path: Path) -> None:
     design = RestDesign(model=known_model(), certificates=certificates, channels=CHANNELS)
     with pytest.raises(BadRequest, match="is no name in C"):
         design.to_c(tmp_path / "int.h")

@@ -132,11 +132,11 @@ def test_reduction_absorbs_unless_told_not_to() -> None:
     inner = LinearScaffold(gain=gain)
     model = two_channel(inner)
     reduction = Reduction(balanced=False)
-    balls = certified_balls(reduction.reduce(model))
+    balls = certified_balls(reduction.reduce_model(model))
     relative_radius = balls.input.relative_radius
     assert relative_radius == 0
     reduction = Reduction(balanced=False, absorb=False)
-    assert reduction.reduce(model) is model
+    assert reduction.reduce_model(model) is model
 
 
 def test_a_scalar_gain_is_an_exact_bound() -> None:
@@ -225,7 +225,7 @@ class Model:
 def reduced_order(reduction: Reduction, linear: StateSpace) -> int:
     """The number of states that a reduction leaves."""
     model = Model(linear)
-    return reduction.reduce(model).linear.order
+    return reduction.reduce_model(model).linear.order
 
 
 def test_balancing_refuses_what_has_no_gramian_and_drops_what_carries_nothing() -> None:

@@ -51,7 +51,7 @@ def fit_on_test(name: str, settings: dict[str, object], model: str, *words: str)
     source = parts.build("data")
     data = source.build(0)
     spec = parts.build("model")
-    trained = spec.solve(data)
+    trained = spec.fit_model(data)
     _, on_test = simulate_validation_and_test(trained, data)
     return on_test.fit_percent
 

@@ -238,10 +238,10 @@ def test_the_certified_bound_holds_with_a_sine():
 def test_auto_takes_the_words_and_weighs_what_they_make():
     auto_internal_model = ("step", "sine(0.5Hz)")
     auto_with_sine = Auto(internal_model=auto_internal_model)
-    assert auto_with_sine.modes == ("step", "sine(0.5Hz)")
-    assert Auto().modes == ()
+    assert auto_with_sine.internal_model_signals == ("step", "sine(0.5Hz)")
+    assert Auto().internal_model_signals == ()
     auto = Auto(integral_weights=(1e-3,))
-    modes = auto.modes
+    modes = auto.internal_model_signals
     assert modes == ("step",)
 
 
@@ -330,4 +330,4 @@ def test_the_command_takes_a_sine_without_quotes():
     assert quote_sines(words) == expected
     settings = {"_target_": "ssm_study.synthesis.auto.Auto", "internal_model": ["ramp"]}
     part = construct_part("synthesis", settings)
-    assert part.modes == ("ramp",)
+    assert part.internal_model_signals == ("ramp",)

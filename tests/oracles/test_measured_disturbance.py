@@ -148,7 +148,7 @@ def test_reduction_leaves_a_mode_that_only_the_load_moves() -> None:
     linear = replace(model.linear, a=a, b=b)
     scaffold_in = LinearScaffold.identity(1)
     model = replace(model, linear=linear, scaffold_in=scaffold_in)
-    balanced = Reduction().reduce(model)
+    balanced = Reduction().reduce_model(model)
     rng = np.random.default_rng(0)
     u = rng.normal(size=(50, 1))
     d = far_disturbance(model, 50)
@@ -159,7 +159,7 @@ def test_reduction_leaves_a_mode_that_only_the_load_moves() -> None:
     scale = no_load(model.scale)
     b_d = np.zeros((0, 0))
     changed_model = replace(model, scale=scale, b_d=b_d)
-    order = Reduction().reduce(changed_model).order
+    order = Reduction().reduce_model(changed_model).order
     assert order == 2
 
 
@@ -196,7 +196,7 @@ def test_a_structured_model_is_trained_with_the_load(tmp_path: Path) -> None:
     fit = StructuredFit(spec, data, 0)
     fit.start_training(4)
     theta = fit.parameter_blocks
-    free = fit._trained_blocks
+    free = fit._trained_block_names
     r, j, turn = fit.problem.residual_and_jacobian(theta, free)
     sizes = [theta[n].size for n in free]
     running_sum = np.cumsum(sizes)

@@ -66,7 +66,7 @@ def data() -> DataSet:
 @pytest.mark.parametrize("rate", [None, 0.98])
 def test_the_system_is_found(data: DataSet, rate: float | None) -> None:
     spec = BilinearSpec(order=2, nodes=3, rate=rate, starts=2)
-    model = spec.solve(data)
+    model = spec.fit_model(data)
     test_fit = records_fit_percent(model, data.test, data)
     assert test_fit > 99.5
     if rate is not None:
@@ -224,8 +224,8 @@ def test_several_inputs_and_short_records_are_refused(data: DataSet) -> None:
     spec = BilinearSpec()
     short = tuple(record[:30] for record in data.training)
     with pytest.raises(BadRequest, match="and 40 are needed"):
-        spec.solve(replace(data, training=short))
+        spec.fit_model(replace(data, training=short))
     scale = Scale.identity(2, 1)
     twice = replace(data, scale=scale)
     with pytest.raises(BadRequest, match="takes one input, and there are 2"):
-        spec.solve(twice)
+        spec.fit_model(twice)

@@ -50,7 +50,7 @@ def test_a_system_without_feedthrough_is_identified_without_it() -> None:
     rest = (zero, zero)
     data = assemble_dataset(parts, rest, channels, 0)
     n4_sid = N4SID(order=2, block_rows=10)
-    model = n4_sid.solve(data)
+    model = n4_sid.fit_model(data)
     linear_d = model.linear.d
     assert not linear_d.any()
     u = data.test[0].u

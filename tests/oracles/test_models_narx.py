@@ -73,7 +73,7 @@ def test_no_row_reaches_across_two_records() -> None:
 def test_the_system_is_found_from_records_that_do_not_join(terms: int | None) -> None:
     data = records()
     narx = NARX(lags=2, degree=1, terms=terms)
-    found = narx.solve(data)
+    found = narx.fit_model(data)
     input_scale = data.scale.input_scale
     output_scale = data.scale.output_scale
     gain = float(input_scale[0] / output_scale[0])
@@ -100,7 +100,7 @@ def test_output_error_is_unbiased_where_arx_is_not() -> None:
     poles = {}
     oe = fit_output_error(data, 2, 1)
     narx = NARX(lags=2, degree=1)
-    arx = narx.solve(data)
+    arx = narx.fit_model(data)
     for name, model in {"oe": oe, "arx": arx}.items():
         poles[name] = model.theta[1:3]
     expected = [1.2, -0.5]
@@ -117,7 +117,7 @@ def test_the_best_baseline_of_a_product_is_a_polynomial(monkeypatch: pytest.Monk
     assert best is not None
     assert "NARX" in best.words
     assert records_fit_percent(best.model, data.test, data) > 90.0
-    model = OutputError(order=2).solve(data)
+    model = OutputError(order=2).fit_model(data)
     linear = records_fit_percent(model, data.test, data)
     upper_limit = records_fit_percent(best.model, data.test, data) - 5.0
     assert linear < upper_limit
@@ -147,7 +147,7 @@ def test_a_wide_spread_of_baselines_is_said() -> None:
 def test_measured_start_up_samples_are_the_past_of_a_regression() -> None:
     data = records(start_up=20)
     narx = NARX(lags=2, degree=1)
-    model = narx.solve(data)
+    model = narx.fit_model(data)
     assert records_fit_percent(model, data.test, data) > 99.9
     piece = data.test[0]
     response = model.simulate(piece.u)
@@ -159,7 +159,7 @@ def test_measured_start_up_samples_are_the_past_of_a_regression() -> None:
 def test_lags_longer_than_every_record_are_refused() -> None:
     narx = NARX(lags=600, degree=1)
     with pytest.raises(BadRequest, match="longest training record has 600 samples"):
-        narx.solve(records())
+        narx.fit_model(records())
 
 
 def slow_records() -> DataSet:

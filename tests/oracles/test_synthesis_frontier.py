@@ -292,10 +292,10 @@ def test_the_gain_explicit_in_modes_is_the_gain_from_schur_coordinates(seed: int
     inverse = np.linalg.inv(vectors)
     left = inverse[fast]
     modes = split_modes(linear.a, linear.b, r)
-    pseudo_inverse = np.linalg.pinv(modes.left[: modes.fast_count])
+    pseudo_inverse = np.linalg.pinv(modes.left[: modes.fast_mode_count])
     into = left @ pseudo_inverse  # both are left invariant coordinates of the same space
     expected = w
-    if modes.fast_count:
+    if modes.fast_mode_count:
         a = modes.a_fast / r
         root = into @ inverse_time_gramian_root(a, modes.b_fast / r)
         expected = root @ root.conj().T

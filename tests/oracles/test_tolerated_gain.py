@@ -22,7 +22,7 @@ from ssm_study.robustness.sensitivity import error_to_input_response
 from ssm_study.synthesis.deployed import add_gain_certificates, certificate_at_largest_rate
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.measured_discs_run import INJECTED, exclusion_reason
+from ssm_study.synthesis.measured_discs_run import INJECTED, uncertifiable_loop_reason
 from ssm_study.synthesis.measured_discs_search import INPUT_ALONE, certify_largest_radius
 from ssm_study.synthesis.structured_lmi import largest_rate_with_neurons
 from ssm_study.systems import Gains, JacobianBall, JacobianBalls, StructuredSystem
@@ -219,10 +219,10 @@ def test_an_observer_that_injects_into_neurons_of_the_output_is_excluded(stored)
     design = Design.from_json(stored[0])
     assert design.observer.l_z.any()
     stand = model()
-    assert exclusion_reason(design, stand) is None
+    assert uncertifiable_loop_reason(design, stand) is None
     seen = np.ones_like(stand.h)
     seeing = replace(stand, h=seen)
-    assert exclusion_reason(design, seeing) == INJECTED
+    assert uncertifiable_loop_reason(design, seeing) == INJECTED
 
 
 @pytest.mark.parametrize(

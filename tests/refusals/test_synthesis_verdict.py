@@ -304,7 +304,7 @@ def test_the_margin_is_that_of_the_exact_inequality() -> None:
     y = part.y @ change
     numbers = part.variables | {"y": y}
     theorem = type(part)
-    in_floats = theorem.as_floats(**numbers)["inequality"]
+    in_floats = theorem.float_conditions(**numbers)["inequality"]
     exactly = theorem.exact_conditions(**numbers)["inequality"]
     expected = scale_to_unit_diagonal(exactly.to_floats())
     np.testing.assert_allclose(in_floats, expected, atol=1e-13)

@@ -224,8 +224,8 @@ def fit_output_error(data: DataSet, order: int, delay: int) -> NarxModel:
     fitted = [problem.minimise(start) for start in starts]
     parameters = min(fitted, key=problem.squared_error)
     f = parameters[:order]
-    offset = parameters[-problem.extra_parameter_count] * (1.0 + f.sum())
-    b = parameters[order : -problem.extra_parameter_count]
+    offset = parameters[-problem.free_response_parameter_count] * (1.0 + f.sum())
+    b = parameters[order : -problem.free_response_parameter_count]
     input_count = data.scale.inputs
     regressors = regressor_codes(order, delay, input_count)
     codes = [CONSTANT, *regressors]
@@ -276,13 +276,13 @@ class _OutputErrorProblem:
     delay: int
 
     @property
-    def extra_parameter_count(self) -> int:
+    def free_response_parameter_count(self) -> int:
         """Number of parameters for the output offset and each record's free response."""
         return 1 + self.order * len(self.records)
 
     def initial_parameters(self, f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "P"]:
         """Initial parameters of an output-error fit for a given denominator polynomial."""
-        parameter_count = self.extra_parameter_count + self._input_coefficient_count
+        parameter_count = self.free_response_parameter_count + self._input_coefficient_count
         other_parameters = np.zeros(parameter_count)
         parameters = np.concatenate([f, other_parameters])
         residual, jacobian = self.residual_and_jacobian(parameters)
@@ -312,7 +312,7 @@ class _OutputErrorProblem:
             linear_columns = jacobian[:, self.order :]
             linear_parameters = parameters[self.order :]
             linear = linear_columns @ linear_parameters
-            free_run = linear - parameters[-self.extra_parameter_count]
+            free_run = linear - parameters[-self.free_response_parameter_count]
             denominator = parameters[: self.order]
             filtered = _filter_recursively(denominator, -free_run)
             jacobian[:, : self.order] = _delayed_copies(filtered, 1, self.order)
@@ -336,10 +336,10 @@ class _OutputErrorProblem:
             input_channel = u[:, channel]
             filtered = _filter_recursively(f, input_channel)
             jacobian[:, column : column + n] = _delayed_copies(filtered, self.delay, n)
-        jacobian[:, -self.extra_parameter_count] = 1.0
+        jacobian[:, -self.free_response_parameter_count] = 1.0
         impulse = np.zeros(len(u))
         impulse[0] = 1.0
-        column = len(parameters) - self.extra_parameter_count + 1 + n * index
+        column = len(parameters) - self.free_response_parameter_count + 1 + n * index
         decay = _filter_recursively(f, impulse)
         jacobian[:, column : column + n] = _delayed_copies(decay, 0, n)
         return jacobian

@@ -34,7 +34,7 @@ class SolvedSpec(ModelSpec, ABC):
     training. `solve` returns their explicit numbers."""
 
     @abstractmethod
-    def solve(self, data: DataSet) -> Simulator:
+    def fit_model(self, data: DataSet) -> Simulator:
         """Fit a model to the training records by direct computation."""
 
     def build(self, data: DataSet, seed: int) -> Any:  # noqa: ARG002
@@ -65,7 +65,7 @@ class N4SID(SolvedSpec):
         has_enough_rows = rows > self.order
         require(has_enough_rows, "model.block_rows", rows, problem, "use twice the order")
 
-    def solve(self, data: DataSet) -> SSM:
+    def fit_model(self, data: DataSet) -> SSM:
         """Identify a linear state-space model from the training records by the subspace method
         N4SID."""
         nfoursid = import_library("nfoursid.nfoursid")
@@ -156,7 +156,7 @@ class NARX(SolvedSpec):
         if self.terms is not None:
             require_at_least(1, "model.terms", self.terms, "use 12 or so, or null for all")
 
-    def solve(self, data: DataSet) -> NarxModel:
+    def fit_model(self, data: DataSet) -> NarxModel:
         """Fit a polynomial NARX model to the training records by forward regression."""
         _refuse_several_outputs(data, "NARX")
         _refuse_short_records(data, self.lags + self.delay)
@@ -181,7 +181,7 @@ class OutputError(SolvedSpec):
         super().__post_init__()
         require_at_least(0, "model.delay", self.delay, "use 1, or 0 where the input acts at once")
 
-    def solve(self, data: DataSet) -> NarxModel:
+    def fit_model(self, data: DataSet) -> NarxModel:
         """Fit a linear output-error model to the training records by the Levenberg-Marquardt
         method."""
         _refuse_several_outputs(data, "OutputError")

@@ -51,7 +51,7 @@ def compute_free_runs(
     In balanced coordinates it is what is certified; a baseline has no `reduction`, and nothing is
     claimed of it.
     """
-    model = trained.model if reduction is None else reduction.reduce(trained.model)
+    model = trained.model if reduction is None else reduction.reduce_model(trained.model)
     write_json(folder / "model.json", model.to_json())
     validation, test = simulate_validation_and_test(model, data)
     for name, run in (("validation", validation), ("test", test)):
