@@ -92,7 +92,7 @@ if __name__ == Path(__file__).stem and JOBS in os.environ:  # in the forkserver,
         LOADED = pickle.load(stream)
     LOADED[1]()
     gc.freeze()
-    ours._apply_memory_and_threads(LOADED[2])
+    ours._apply_memory_and_thread_limits(LOADED[2])
     if len(LOADED[0]) >= ours.MANY:
         ours._collapse_into_large_pages()
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import torch
 
-from ssm_study.engine.server import thread_limits
+from ssm_study.engine.server import thread_limit_variables
 
 TURN_S = 0.03
 # What `engine.server.ALLOCATOR` says to a process that is running, for one that is about to start.
@@ -23,7 +23,7 @@ ALLOCATOR = {
 def as_in_a_run() -> None:
     """Starts this program again with one thread and the allocator settings that every run of a
     study has."""
-    wanted = thread_limits(1) | ALLOCATOR
+    wanted = thread_limit_variables(1) | ALLOCATOR
     if any(os.environ.get(name) != value for name, value in wanted.items()):
         os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **wanted})
 

@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 from common import REFERENCE, Row, keep
 
 from ssm_study.api.model import Model
-from ssm_study.api.parts import Parts
+from ssm_study.api.parts import StudyParts
 from ssm_study.api.steps import identify_model
 from ssm_study.data.look import look
 from ssm_study.models.best_baseline import baseline_columns
@@ -79,13 +79,13 @@ LOGS = (
 
 def read_and_fitted(log: PublicLog, folder: Path) -> Model:
     """The log as the command reads it, and a small model of it after a few steps."""
-    parts = Parts(
+    parts = StudyParts(
         {"data": "recorded", "model": "structured", "training": "default", "loop": "regulation"},
         (STEPS,),
     )
-    parts.set_fields("data", path=str(folder / log.name), input=log.input, output=log.output)
-    parts.set_fields("data", step_s=log.step_s)
-    parts.set_fields("model", **SPEC)
+    parts.change_settings("data", path=str(folder / log.name), input=log.input, output=log.output)
+    parts.change_settings("data", step_s=log.step_s)
+    parts.change_settings("model", **SPEC)
     data = parts.build("data").build(0)
     with TemporaryDirectory() as place:
         simulator, identification = identify_model(

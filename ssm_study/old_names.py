@@ -121,7 +121,7 @@ NAMES: Mapping[str, str] = {
     "style.save": "style.save_figure",
     "study.stages.ModelRun": "study.stages.free_run.ModelRun",
     "study.stages.Simulated": "study.stages.free_run.ModelRun",
-    "study.stages.Trained": "study.stages.model.Trained",
+    "study.stages.Trained": "study.stages.model.TrainedModel",
     "study.stages.read_design": "study.stages.synthesis.read_design",
     "study.stages.read_model": "study.stages.model.read_model",
     "synthesis.candidates.Found": "synthesis.candidates.GainCandidate",

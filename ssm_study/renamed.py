@@ -23,7 +23,7 @@ from typing import Any
 
 from ssm_study.old_names import COLUMNS, METHODS, MODULES, NAMES, SETTINGS
 from ssm_study.refusal import BadRequest
-from ssm_study.withdrawn import WITHDRAWN_CHOICES, WITHDRAWN_SETTINGS, WITHDRAWN_TARGETS, Withdrawn
+from ssm_study.withdrawn import WITHDRAWN_CHOICES, WITHDRAWN_SETTINGS, WITHDRAWN_TARGETS, Withdrawal
 
 OURS = "ssm_study"
 CHANGELOG = "CHANGELOG.md, version 0.2.0"
@@ -69,7 +69,7 @@ def current_target(target: Any) -> Any:
     return ".".join(current_symbol(module, name))
 
 
-def withdrawn_target(target: Any) -> Withdrawn | None:
+def withdrawn_target(target: Any) -> Withdrawal | None:
     """Notice for a `_target_` class that was removed; None for any other class."""
     return WITHDRAWN_TARGETS.get(str(target).removeprefix(f"{OURS}."))
 
@@ -131,7 +131,7 @@ def rename_old_settings(config: Any) -> None:
                 config[key] = value
 
 
-def withdrawn_setting(path: str) -> Withdrawn | None:
+def withdrawn_setting(path: str) -> Withdrawal | None:
     """Notice for a removed setting, given by its dotted path; None for any other setting."""
     words = path.split(".")
     for pattern, withdrawn in WITHDRAWN_SETTINGS.items():
@@ -142,7 +142,7 @@ def withdrawn_setting(path: str) -> Withdrawn | None:
     return None
 
 
-def refuse_withdrawn(path: str, value: Any, withdrawn: Withdrawn) -> None:
+def refuse_withdrawn(path: str, value: Any, withdrawn: Withdrawal) -> None:
     """Raise `BadRequest` for a removed setting, unless its value had no effect."""
     if value != withdrawn.neutral:
         problem = f"was {withdrawn.sentence} ({CHANGELOG})"

@@ -19,7 +19,7 @@ from ssm_study.models.metrics import Simulation, fit_columns
 from ssm_study.models.warm_start import PAST, choose_initial_state_source, initial_state_columns
 from ssm_study.refusal import BadRequest
 from ssm_study.study.loop_recordings import read_loop_recordings
-from ssm_study.study.recordings import read_simulation, states_to_text
+from ssm_study.study.recordings import read_free_runs, states_to_text
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import verify
 from ssm_study.synthesis.deployed import initial_output_range
@@ -69,7 +69,7 @@ def fits_again(run: Path) -> dict[str, Any]:
     run_files = RunFiles(path=run, record={})
     model = run_files.model
     names = ("validation", "test")
-    pair = (read_simulation(run / f"{name}.mcap") for name in names)
+    pair = (read_free_runs(run / f"{name}.mcap") for name in names)
     return fit_columns(
         *(Simulation.simulate_records(model, kept.records, kept.start_up_samples) for kept in pair)
     )
@@ -246,7 +246,7 @@ def lie_about_start(run: Path) -> None:
         states = getattr(starts, split)
         assert starts.choice is not None
         forged = (None,) * len(states) if starts.choice == PAST else states
-        kept = read_simulation(run / f"{split}.mcap")
+        kept = read_free_runs(run / f"{split}.mcap")
         made = Simulation.simulate_records(files.model, kept.records, kept.start_up_samples, forged)
         groups, about = read_mcap(run / f"{split}.mcap")
         signals = iter(made.simulated)

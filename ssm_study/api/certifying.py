@@ -23,7 +23,7 @@ from ssm_study.api.missing_rate import (
     explain_uncertifiable_gain,
     spectral_radius,
 )
-from ssm_study.api.summaries import html_table, render_text_table, round_rate_down
+from ssm_study.api.summaries import html_table, rate_text, render_text_table
 from ssm_study.api.systems import read_columns, read_linear_system, read_matrix
 from ssm_study.certificates.certificate import GainTheorem
 from ssm_study.certificates.decay_time import decay_time_text
@@ -77,7 +77,7 @@ class GainCertificate:
     slopes: tuple[float, float]
 
     def __repr__(self) -> str:
-        name = "observer" if self.is_observer_gain else "gain"
+        name = "observer" if self.is_observer else "gain"
         rows = gain_certificate_lines(name, self)
         lines = pd.Series(rows, dtype=object)
         return render_text_table("GainCertificate", lines)
@@ -95,13 +95,11 @@ class GainCertificate:
             return None
         metric_name = self.certificate.metric_matrix
         matrix = getattr(self.certificate, metric_name)
-        metric: Float[np.ndarray, "n n"] = (
-            matrix if self.is_observer_gain else np.linalg.inv(matrix)
-        )
+        metric: Float[np.ndarray, "n n"] = matrix if self.is_observer else np.linalg.inv(matrix)
         return metric
 
     @property
-    def is_observer_gain(self) -> bool:
+    def is_observer(self) -> bool:
         """Whether the certified gain is that of an observer."""
         return self.certificate is not None and self.certificate.observes
 
@@ -173,10 +171,10 @@ def gain_certificate_lines(name: str, gain: GainCertificate) -> dict[str, str]:
     is controller or observer."""
     lines = {name: f"nothing is proved: {gain.reason}"}
     if gain.rate is not None:
-        rate = f"rate {round_rate_down(gain.rate, 6)} per sample"
+        rate = f"rate {rate_text(gain.rate, 6)} per sample"
         decay = decay_time_text(gain.rate)
         lines[name] = f"contracts at {rate} ({decay}), decided exactly"
-        if gain.is_observer_gain:
+        if gain.is_observer:
             lines[name] += ", if it computes the plant's own input and output maps"
     lines[f"{name}, slopes"] = _describe_slopes(name, gain.slopes)
     if gain.overshoot is not None:
@@ -191,7 +189,7 @@ def gain_certificate_lines(name: str, gain: GainCertificate) -> dict[str, str]:
 
 def _describe_largest_rate(rate: float) -> str:
     """Text on the largest contraction rate that a constant quadratic metric can prove."""
-    return f"provable below {round_rate_down(rate, 6)}" if rate > 0 else "no rate is provable"
+    return f"provable below {rate_text(rate, 6)}" if rate > 0 else "no rate is provable"
 
 
 def _describe_slopes(name: str, slopes: tuple[float, float]) -> str:
@@ -368,7 +366,7 @@ def _prove_rate(
     factor = float(((1 - supremum) * remaining_rate) ** 0.25)  # between the two, in log r
     try:
         with linear_algebra_failures_as_no_solution():
-            coordinates = _conditioned_coordinates(problem, k, factor)
+            coordinates = _well_conditioned_coordinates(problem, k, factor)
             inverse = np.linalg.inv(coordinates)
             p = least_metric(problem, k, factor, coordinates, inverse, slack)
     except NoSolution:
@@ -381,7 +379,7 @@ def _prove_rate(
     return part
 
 
-def _conditioned_coordinates(
+def _well_conditioned_coordinates(
     problem: Problem, k: Float[np.ndarray, "m n"], factor: float
 ) -> Float[np.ndarray, "n n"]:
     """State coordinates in which the matrices of a certificate for a given gain are well

@@ -8,7 +8,7 @@ import numpy as np
 from ssm_study.api.arguments import Slopes
 from ssm_study.api.design import Design
 from ssm_study.api.model import Model
-from ssm_study.api.parts import Parts, part_of_setting
+from ssm_study.api.parts import StudyParts, part_of_setting
 from ssm_study.api.rest_design import RestDesign
 from ssm_study.api.steps import design_controller
 from ssm_study.api.systems import (
@@ -103,7 +103,7 @@ def control(
     choice_of_method = () if method is None else (f"synthesis={method}",)
     words = (*earlier, *choice_of_method, *overrides)
     choices = LOOP | {"synthesis": chosen}
-    parts = Parts(choices, words)
+    parts = StudyParts(choices, words)
     if not identified:
         problem = (
             "bound the inputs of a loop with records; of a bare system nothing is proved there"
@@ -111,7 +111,9 @@ def control(
         is_unlimited = all(limit is None for limit in input_limits)
         require(is_unlimited, "input_limits", input_limits, problem, "leave them out")
         rate, observer_rate = _rates_without_records(parts, rate, observer_rate)
-    parts.set_fields("synthesis", rate_controller=rate, rate_observer=observer_rate, **settings)
+    parts.change_settings(
+        "synthesis", rate_controller=rate, rate_observer=observer_rate, **settings
+    )
     if isinstance(model, Model):
         problem = "are for a bare system of matrices; this model has slope bounds of its own"
         settings_given = output_slopes if slopes is None else slopes
@@ -169,7 +171,7 @@ def refuse_model_settings(overrides: tuple[str, ...]) -> None:
 
 
 def _rates_without_records(
-    parts: Parts, rate: float | None, observer_rate: float | None
+    parts: StudyParts, rate: float | None, observer_rate: float | None
 ) -> tuple[float | None, float | None]:
     """Contraction rates of controller and observer for a linear system that comes without recorded
     data. Raises `BadRequest` where records would be needed to choose them."""
@@ -181,10 +183,10 @@ def _rates_without_records(
     return rate, rate if observer_rate is None else observer_rate
 
 
-def _design_for_model(model: Model, parts: Parts, limits: tuple[Any, Any]) -> Design:
+def _design_for_model(model: Model, parts: StudyParts, limits: tuple[Any, Any]) -> Design:
     """Design a controller for an identified model that was fitted to records."""
     lower, upper = limits
-    parts.set_fields("loop", input_lower=lower, input_upper=upper)
+    parts.change_settings("loop", input_lower=lower, input_upper=upper)
     loop = parts.build("loop")
     synthesis = parts.build("synthesis")
     input_limits = (loop.input_lower, loop.input_upper)
@@ -206,7 +208,7 @@ def _design_for_model(model: Model, parts: Parts, limits: tuple[Any, Any]) -> De
 
 def _design_for_system(
     system: Any,
-    parts: Parts,
+    parts: StudyParts,
     slopes: Slopes | None,
     output_slopes: Slopes | None,
     overrides: tuple[str, ...],

@@ -9,7 +9,7 @@ import pandas as pd
 
 from ssm_study.api.arguments import Signals, Slopes
 from ssm_study.api.model import Model
-from ssm_study.api.parts import Parts
+from ssm_study.api.parts import StudyParts
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.steps import identify_model
 from ssm_study.api.systems import read_path, read_slopes
@@ -95,11 +95,13 @@ def fit(
     """
     step_s = find_sampling_time_s(step_s, u)
     choices = CHOICES | {"model": model}
-    parts = Parts(choices, overrides)
-    parts.set_fields("model", order=order, neurons=neurons, feedthrough=feedthrough, **settings)
+    parts = StudyParts(choices, overrides)
+    parts.change_settings(
+        "model", order=order, neurons=neurons, feedthrough=feedthrough, **settings
+    )
     if slopes is not None:
         slope_lower, slope_upper = read_slopes("slopes", slopes)
-        parts.set_fields("model", slope_lower=slope_lower, slope_upper=slope_upper)
+        parts.change_settings("model", slope_lower=slope_lower, slope_upper=slope_upper)
     if seed is not None:
         parts.numbers["seed"] = seed
     spec = parts.build("model")
@@ -133,14 +135,21 @@ def fit(
 
 
 def build_data_set(
-    parts: Parts, u: Signals, y: Signals, step_s: float, disturbance: Signals | None, folder: Path
+    parts: StudyParts,
+    u: Signals,
+    y: Signals,
+    step_s: float,
+    disturbance: Signals | None,
+    folder: Path,
 ) -> DataSet:
     """Build a data set from signals in arrays, which are written to log files and read again.
     `ssm-study run` reads a log in the same way."""
     seconds = float(step_s)
     log = write_log_files(u, y, folder, seconds, disturbance)
-    parts.set_fields("data", path=log.paths, input=log.inputs, output=log.outputs, step_s=step_s)
-    parts.set_fields("data", disturbance=log.disturbances or None)
+    parts.change_settings(
+        "data", path=log.paths, input=log.inputs, output=log.outputs, step_s=step_s
+    )
+    parts.change_settings("data", disturbance=log.disturbances or None)
     data_settings = parts.build("data")
     seed = parts.numbers["seed"]
     data: DataSet = data_settings.build(seed)

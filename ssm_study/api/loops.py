@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from ssm_study.api.arguments import Values
-from ssm_study.api.parts import Parts
+from ssm_study.api.parts import StudyParts
 from ssm_study.data.arrays import disturbance_array, signal_array_and_names
 from ssm_study.loop.controller import Controller, ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment
@@ -59,7 +59,7 @@ def simulate_loop(
     names = [channel.name for channel in plant.outputs]
     output_count = len(names)
     _, starts = signal_array_and_names(y0, "y0", output_count, names)
-    parts = Parts(LOOP, overrides)
+    parts = StudyParts(LOOP, overrides)
     configured_loop = parts.build("loop")
     loop: LoopExperiment = configured_loop.with_default_horizon(design.model)
     controller = controller or ObserverFeedback.from_design(design.model, design.certificate)

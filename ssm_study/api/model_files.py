@@ -120,7 +120,7 @@ def read_model_fields(folder: Path) -> dict[str, Any]:
         require_unmodified_files(folder, content)
         with np.load(folder / RECORDS_FILE, allow_pickle=False) as arrays:
             signals = dict(arrays)
-            data = read_data(content["data"], signals)
+            data = rebuild_data_set(content["data"], signals)
         facts = content["identification"]
         facts["choice"] = tuple(facts["choice"])
         member_models = (model_from_json(member) for member in content["members"])
@@ -185,7 +185,7 @@ def signal_arrays(data: DataSet) -> dict[str, Any]:
     return arrays
 
 
-def read_data(content: dict[str, Any], arrays: dict[str, Any]) -> DataSet:
+def rebuild_data_set(content: dict[str, Any], arrays: dict[str, Any]) -> DataSet:
     """Rebuild a data set from its stored description and its arrays of samples."""
     scale_fields = content["scale"]
     scale = {name: np.asarray(values, dtype=float) for name, values in scale_fields.items()}

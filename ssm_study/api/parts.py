@@ -144,7 +144,7 @@ def assign_nested(tree: Tree, path: str, value: Any) -> None:
     tree[last] = value
 
 
-def parse_value(text: str) -> Any:
+def parse_setting_value(text: str) -> Any:
     """Parse the text of a setting: a number, true, false, null, a list or a text."""
     try:
         return _parse_numbers(yaml.safe_load(text))
@@ -188,7 +188,7 @@ def part_of_setting(setting: str) -> str:
     return dotted_key.partition(".")[0]
 
 
-class Parts:
+class StudyParts:
     """Configuration of the parts of a study (data, model, training, ...), from which their objects
     are built.
 
@@ -213,7 +213,7 @@ class Parts:
             self._choose_option(key, value)
         for key, value in settings:
             if key not in (*GROUPS, *OF_THE_PLACE):
-                self._set_field(key, value)
+                self._change_setting(key, value)
 
     def _choose_option(self, key: str, choice: str) -> None:
         """Choose a named option inside one part of a study, such as `training/optimiser=adam`."""
@@ -226,9 +226,9 @@ class Parts:
         tree = load_choice(group, choice)
         assign_value(self.trees, place, tree)
 
-    def _set_field(self, key: str, text: str) -> None:
+    def _change_setting(self, key: str, text: str) -> None:
         """Set one setting, given by its dotted path, of a part of a study."""
-        value = parse_value(text)
+        value = parse_setting_value(text)
         if key in NUMBERS:
             kind = type(value)
             whole = kind is int and 0 <= value < 2**32
@@ -258,7 +258,7 @@ class Parts:
             place = place[name]
         return True
 
-    def set_fields(self, part: str, **settings: Any) -> None:
+    def change_settings(self, part: str, **settings: Any) -> None:
         """Set several settings of one part of a study; a setting with the new value None stays
         unchanged."""
         for name, value in settings.items():
@@ -266,7 +266,7 @@ class Parts:
                 sign = self._override_prefix(f"{part}.{name}")
                 assign_value(self.trees, f"{part}.{name}", value)
                 self.arguments[f"{part}.{name}"] = ARGUMENTS.get(name, name)
-                self.details.append(f"{sign}{part}.{name}={format_value(value)}")
+                self.details.append(f"{sign}{part}.{name}={format_setting_value(value)}")
 
     def build(self, part: str) -> Any:
         """Build the object that the settings of one part of a study describe. Raises `BadRequest`
@@ -302,10 +302,10 @@ class Parts:
         return (*chosen, *self.details, *numbers)
 
 
-def format_value(value: Any) -> str:
+def format_setting_value(value: Any) -> str:
     """Text of a setting's value, from which Hydra reads the same value again."""
     if isinstance(value, list | tuple):
-        return f"[{','.join(map(format_value, value))}]"
+        return f"[{','.join(map(format_setting_value, value))}]"
     if value is None:
         return "null"
     if isinstance(value, bool):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 @cache
-def scratch_folder() -> Path:
+def program_scratch_folder() -> Path:
     """Temporary folder of the program, deleted when the program ends."""
     folder_name = tempfile.mkdtemp(prefix="ssm-study-")
     folder = Path(folder_name)
@@ -19,14 +19,14 @@ def scratch_folder() -> Path:
 
 def make_scratch_folder() -> Path:
     """Make a new folder in the program's temporary folder."""
-    folder_name = tempfile.mkdtemp(dir=scratch_folder())
+    folder_name = tempfile.mkdtemp(dir=program_scratch_folder())
     return Path(folder_name)
 
 
 def copy_temporary_logs(override: str, folder: Path) -> str:
     """Copy the temporary log files that a command-line override names into a folder, and return the
     override with the new paths. The temporary files are deleted when the program ends."""
-    scratch_name = str(scratch_folder())
+    scratch_name = str(program_scratch_folder())
     scratch = re.escape(scratch_name)
     for temporary in re.findall(rf"{scratch}/[^',\]]+\.parquet", override):
         folder.mkdir(parents=True, exist_ok=True)

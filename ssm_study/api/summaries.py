@@ -9,7 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from ssm_study.api.loop_of_both import describe_loop_verdict, find_unstable_example, list_maps
+from ssm_study.api.loop_of_both import (
+    describe_loop_verdict,
+    unknown_maps_text,
+    unstable_example_text,
+)
 from ssm_study.api.scope_of_proof import (
     describe_deciding_band,
     describe_simulated_loop,
@@ -70,7 +74,7 @@ def summarise_model(model: "Model") -> pd.Series:
             lines["mean that predicts"] = f"{facts['members']} models, {fit_words}"
     if model.identification.chosen:
         chosen_settings = model.identification.chosen
-        lines["chosen by the records"] = choice_text(chosen_settings)
+        lines["chosen by the records"] = chosen_settings_text(chosen_settings)
     if isinstance(model.simulator, SSM | StructuredSSM):
         lines |= summarise_state_space(model, model.simulator)
     return pd.Series(lines, name="model", dtype=object)
@@ -98,7 +102,7 @@ def summarise_state_space(model: "Model", simulator: SSM | StructuredSSM) -> dic
     return lines
 
 
-def choice_text(chosen: str) -> str:
+def chosen_settings_text(chosen: str) -> str:
     """Text on the settings of a model that were chosen from the records."""
     for value, answer in (("none", "no"), ("free", "yes")):
         chosen = chosen.replace(f"input path {value}", f"input drives the neurons {answer}")
@@ -126,15 +130,17 @@ def summarise_design(design: "Design") -> pd.Series:
     for name, side in (("controller", "state_feedback"), ("observer", "observer")):
         part = certificate.certificates_by_name[side]
         if isinstance(part, Infeasible):
-            lines[name] = f"no certificate: {name_python_arguments(part.reason)}"
+            lines[name] = f"no certificate: {replace_settings_by_arguments(part.reason)}"
             continue
         rate = certificate.certified_rate(side)
         requested = requested_rate(design, side)
         step_s = design.model.step_s
         lines |= summarise_gain_certificate(name, part, rate, step_s, requested)
         if name == "observer" and part.certified and design.unknown_maps:
-            lines[name] += f", if it computes the plant's own {list_maps(design.unknown_maps)}"
-    example = find_unstable_example(certificate) if design.unknown_maps else None
+            lines[name] += (
+                f", if it computes the plant's own {unknown_maps_text(design.unknown_maps)}"
+            )
+    example = unstable_example_text(certificate) if design.unknown_maps else None
     lines["loop of both"] = describe_loop_verdict(design.verdicts, design.unknown_maps, example)
     lines["not proved"] = unproved_properties_text(design)
     if not certificate.feasible:
@@ -172,7 +178,7 @@ def summarise_slowest_poles(slowest: dict[str, float]) -> dict[str, str]:
     }
 
 
-def name_python_arguments(sentence: str) -> str:
+def replace_settings_by_arguments(sentence: str) -> str:
     """Replace names of study settings by names of Python arguments in a sentence of a
     certificate."""
     for setting, argument in PYTHON_ARGUMENTS.items():
@@ -185,7 +191,7 @@ def describe_open_loop(open_loop_rate: float, proved_rate: float | None) -> str:
     proved rate is no larger."""
     if open_loop_rate <= 0:
         return "the model does not contract"
-    words = f"the model contracts at rates below {round_rate_down(open_loop_rate)}"
+    words = f"the model contracts at rates below {rate_text(open_loop_rate)}"
     shows_no_gain = proved_rate is not None and proved_rate <= open_loop_rate
     return f"{words}: the controller's rate shows no gain" if shows_no_gain else words
 
@@ -197,7 +203,7 @@ def summarise_input_limits(facts: dict[str, Any], open_loop_rate: float) -> dict
     upper = facts.get("limit_upper")
     if rate is None or lower is None or upper is None:
         return {}
-    words = f"rate {round_rate_down(rate)} per sample with inputs from {lower:.3g} to {upper:.3g}"
+    words = f"rate {rate_text(rate)} per sample with inputs from {lower:.3g} to {upper:.3g}"
     if rate <= open_loop_rate:
         words += " (no more than without control)"
     return {"controller, input limited": words}
@@ -215,7 +221,7 @@ def summarise_assumptions(certificate: Certificates) -> dict[str, str]:
     return assumed
 
 
-def round_rate_down(rate: float, digits: int = 3) -> str:
+def rate_text(rate: float, digits: int = 3) -> str:
     """Text of a contraction rate, rounded down so that no more is stated than is proved."""
     if rate <= 0:
         return f"{rate:.{digits}g}"
@@ -232,14 +238,14 @@ def summarise_gain_certificate(
     arithmetic does not confirm it. `requested` is the rate that was asked for."""
     value = "no rate"
     if rate is not None:
-        value = f"rate {round_rate_down(rate)}"
-        if requested is not None and round_rate_down(rate) != round_rate_down(requested):
+        value = f"rate {rate_text(rate)}"
+        if requested is not None and rate_text(rate) != rate_text(requested):
             value += f" (asked {requested:g})"
         value += f" per sample ({decay_time_text(rate, step_s)})"
-    limit = f"any gain: below {round_rate_down(certificate.rate_limit)}"
+    limit = f"any gain: below {rate_text(certificate.rate_limit)}"
     lines = {name: f"{value}, {PROVED[certificate.certified]} ({limit})"}
     if not certificate.certified:
-        lines[f"{name}, reason"] = name_python_arguments(certificate.solver_status)
+        lines[f"{name}, reason"] = replace_settings_by_arguments(certificate.solver_status)
     lines[f"{name} gain"] = f"norm {certificate.gain_norm:.3g}"
     return lines
 

@@ -194,7 +194,7 @@ def export_controller(options: argparse.Namespace) -> None:
 
     # What is exported claims to be certified: recompute it first.
     verify(options.run).require_valid("run", options.run)
-    if not options.yes and not may_overwrite(options.to):
+    if not options.yes and not confirm_overwriting(options.to):
         print("nothing written")
         return
     if (options.run / DESIGN_CHANNELS).is_file():
@@ -236,7 +236,7 @@ def export_warnings(run: Path, header_path: Path) -> list[str]:
     return warnings
 
 
-def may_overwrite(folder: Path) -> bool:
+def confirm_overwriting(folder: Path) -> bool:
     """Whether the files of an earlier export may be replaced; asks the user on a terminal."""
     earlier = sorted(path.name for path in folder.glob("*") if path.suffix in EXPORTED)
     if not earlier or not sys.stdin.isatty():
@@ -283,12 +283,14 @@ def report_study(options: argparse.Namespace) -> None:
             )
             says_more = bool(options.verbose or wanted_figures)
             lines = (
-                [*reasons, *map(str, paths)] if says_more else [figures_line(paths, len(reasons))]
+                [*reasons, *map(str, paths)]
+                if says_more
+                else [drawn_figures_text(paths, len(reasons))]
             )
             print("\n".join(lines))
 
 
-def figures_line(paths: list[Path], left_out: int) -> str:
+def drawn_figures_text(paths: list[Path], left_out: int) -> str:
     """Text that says how many figures were drawn and where they are."""
     if not paths:
         return "no figure drawn; -v says why"

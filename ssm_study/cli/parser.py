@@ -42,7 +42,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_look_command(subparsers)
     add_overlay_command(subparsers)
     for name, action in ACTIONS.items():
-        add_action(subparsers, name, action)
+        add_folder_command(subparsers, name, action)
     return parser
 
 
@@ -119,7 +119,7 @@ class FolderCommand(NamedTuple):
     add_options: AddOptions | None = None
 
 
-def add_action(subparsers: Subparsers, name: str, action: FolderCommand) -> None:
+def add_folder_command(subparsers: Subparsers, name: str, action: FolderCommand) -> None:
     """Add a command that acts on the folder of a study or of a run to the parser."""
     command = add_command(subparsers, name, action.summary)
     subject = action.subject

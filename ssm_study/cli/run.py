@@ -114,10 +114,10 @@ def answer_request(overrides: list[str], opens_page: bool) -> int:
         hydra_main = hydra.main(version_base="1.3", config_path=str(folder), config_name="study")
         hydra_main(lambda _: None)()
         return DONE
-    print_progress("reading the request")
+    print_activity("reading the request")
     request = compose_request(overrides, folder, "study")
     with check_jobs_before_start(request):
-        print_progress("loading the libraries")
+        print_activity("loading the libraries")
         request.execute(_task_function())
     if request.config.dry_run:
         return DONE
@@ -139,7 +139,7 @@ def explain_invalid_choice(error: ValueError, overrides: list[str]) -> BadReques
     return None
 
 
-def print_progress(activity: str) -> None:
+def print_activity(activity: str) -> None:
     """Print, on a terminal only, a line that says what the program is doing."""
     if sys.stderr.isatty():
         print(f"ssm-study: {activity} ...", file=sys.stderr, flush=True)

@@ -86,7 +86,7 @@ class CodeReader:
             require(is_defined, "code", symbol, "is not defined in this module", "correct the name")
         lines = []
         for module, name in self.dependency_closure(roots):
-            lines.append(f"{module}:{name} {self._digest(module, name)}")
+            lines.append(f"{module}:{name} {self._symbol_digest(module, name)}")
         return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()
 
     def _is_defined(self, module: str, name: str) -> bool:
@@ -180,7 +180,7 @@ class CodeReader:
             if file != path:
                 yield f"{module}.{file.stem}", WHOLE
 
-    def _digest(self, module: str, name: str) -> str:
+    def _symbol_digest(self, module: str, name: str) -> str:
         """Digest of the statements that define a symbol; for a library, its version."""
         if name == LIBRARY:
             return library_version(module)

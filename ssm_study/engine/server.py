@@ -116,7 +116,7 @@ class Server:
 
     def _start_server(self) -> None:
         """Preload the libraries and fork the server process of a sweep."""
-        with _temporary_environment(thread_limits(self.threads)):
+        with _temporary_environment(thread_limit_variables(self.threads)):
             try:
                 self.preload()
             except Exception as error:  # whatever a module raises
@@ -145,7 +145,7 @@ def _run_server(sweep: Connection, tasks: Sequence[Callable[[], object]], thread
     os.setsid()  # Ctrl-C on the terminal reaches the sweep alone, which then ends the rest in order
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
-    _apply_memory_and_threads(threads)
+    _apply_memory_and_thread_limits(threads)
     if len(tasks) >= MANY:
         _collapse_into_large_pages()
     living: dict[int, int] = {}  # process by its descriptor
@@ -200,14 +200,14 @@ def kill_with_children(pid: int) -> None:
             kill(pid, signal.SIGKILL)
 
 
-def thread_limits(threads: int) -> dict[str, str]:
+def thread_limit_variables(threads: int) -> dict[str, str]:
     """Environment variables that limit the threads of torch, MKL and OpenBLAS in a job's
     process."""
     names = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     return dict.fromkeys(names, str(threads)) | {"OMP_WAIT_POLICY": "passive"}
 
 
-def _apply_memory_and_threads(threads: int) -> None:
+def _apply_memory_and_thread_limits(threads: int) -> None:
     """Apply the memory settings and thread limits to libraries that a job's process has loaded
     already."""
     with contextlib.suppress(AttributeError):  # another C library

@@ -57,11 +57,11 @@ def swept_settings_line(table: pd.DataFrame) -> str:
     parts = []
     for name in swept_settings(table):
         title = printed_column_name(name).split(" (")[0].lower()
-        parts.append(f"{title} ({list_values(requested_values(table, name))})")
+        parts.append(f"{title} ({distinct_values_text(requested_values(table, name))})")
     return f"Swept: {'; '.join(parts)}." if parts else "One setting, no sweep."
 
 
-def list_values(values: pd.Series) -> str:
+def distinct_values_text(values: pd.Series) -> str:
     """Text that lists the distinct values of a setting in ascending order. Of many values it gives
     their number, the first and the last."""
     distinct = values.dropna().unique().tolist()

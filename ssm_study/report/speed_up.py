@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from ssm_study.api.summaries import round_rate_down
+from ssm_study.api.summaries import rate_text
 from ssm_study.certificates.decay_time import decay_time_text
 
 
@@ -22,7 +22,7 @@ def unproved_speed_up_text(record: Mapping[str, Any], step_s: float | None) -> s
     if rate is None or alone is None or rate > alone:
         return ""
     subject = "the model's linear part" if record.get("neurons") else "the model"
-    timed = f"{round_rate_down(alone)} per sample ({decay_time_text(alone, step_s)})"
+    timed = f"{rate_text(alone)} per sample ({decay_time_text(alone, step_s)})"
     words = f"Without control {subject} contracts at rates below {timed}"
     words += ": the controller's rate shows no gain"
     is_faster = bool(record.get("faster_than_open_loop"))

@@ -1,9 +1,9 @@
 """Checks of the settings and results that the files of a finished run state. Columns and findings
 are recomputed from its files and its configuration.
 
-Each section is a function of the run that yields `Checked` (a claim that holds or does not),
-`DerivedColumns` (columns of the record, to be compared) and `NotChecked` (what cannot be derived of
-this run, with the reason).
+Each section is a function of the run that yields `CheckedClaim` (a claim that holds or does not),
+`DerivedColumns` (columns of the record, to be compared) and `UncheckedValues` (what cannot be
+derived of this run, with the reason).
 """
 
 import warnings
@@ -30,10 +30,10 @@ from ssm_study.signals import DataSet
 from ssm_study.study.design_claims import check_certificate
 from ssm_study.study.file_claims import NOT_CHOSEN_AGAIN, NOT_REPEATED, check_files
 from ssm_study.study.findings import (
-    Checked,
+    CheckedClaim,
     Claims,
     DerivedColumns,
-    NotChecked,
+    UncheckedValues,
     UnconfirmableSettings,
     check_agreement,
     check_entries,
@@ -85,7 +85,9 @@ def check_settings(run: RunFiles) -> Claims:
         value = settings.get(rate)
         if value is not None:
             is_same = run.record.get(rate) == value
-            yield Checked(claim=f"synthesis.{rate}", holds=is_same, found=f"{value} was requested")
+            yield CheckedClaim(
+                claim=f"synthesis.{rate}", holds=is_same, found=f"{value} was requested"
+            )
 
 
 def split_confirmable_settings(
@@ -124,7 +126,7 @@ def check_records(run: RunFiles) -> Claims:
         names += [name for name in NAMES if name in run.record]
         names += ["excitation.mcap", "evidence.json", "labels of recordings", "predicted_stable"]
         names += ["validation.mcap, as measured", "test.mcap, as measured"]
-        yield NotChecked(dict.fromkeys(names, reason))
+        yield UncheckedValues(dict.fromkeys(names, reason))
     else:
         yield from check_record_columns(run, run.data)
 
@@ -153,7 +155,7 @@ def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
         judged = evidence_columns(run.judgement)
         stated = evidence_columns(read_judgement(run.path))
         observation = f"records and model give {judged['evidence']}"
-        yield Checked(claim="evidence.json", holds=stated == judged, found=observation)
+        yield CheckedClaim(claim="evidence.json", holds=stated == judged, found=observation)
         yield DerivedColumns(judged)
     if "benchmark" in records.metadata:
         scores_again = data_metrics.benchmark_rmse(records, run.model_run.test.simulated)
@@ -164,31 +166,31 @@ def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
         observation = "times, names, units and words are the run's"
         if wrong:
             observation = f"not those of the run: {', '.join(wrong)}"
-        yield Checked(claim=f"{file} labels", holds=not wrong, found=observation)
+        yield CheckedClaim(claim=f"{file} labels", holds=not wrong, found=observation)
 
 
 def excitation_pairs(run: RunFiles, records: DataSet) -> dict[str, tuple[Any, Any]]:
     """Stored inputs and disturbances of the training records, each paired with its recomputed
     value."""
     inputs = [record.u for record in records.training]
-    pairs = label_pairs(run.recorded_training_inputs, inputs, "u ")
+    pairs = name_value_pairs(run.recorded_training_inputs, inputs, "u ")
     recomputed = [record.d for record in records.training if record.d is not None]
     pairs["disturbances"] = (len(run.disturbances), len(recomputed))
     if len(run.disturbances) == len(recomputed):
-        pairs |= label_pairs(run.disturbances, recomputed, "d ")
+        pairs |= name_value_pairs(run.disturbances, recomputed, "d ")
     return pairs
 
 
-def label_pairs(
+def name_value_pairs(
     stored: Sequence[Any], recomputed: Sequence[Any], prefix: str = ""
 ) -> dict[str, tuple[Any, Any]]:
-    """Give each pair of a stored and a recomputed value a name: a common word and a running
-    number."""
+    """Pairs of a stored and a recomputed value, each under a name made of a given word and a
+    running number."""
     pairs = zip(stored, recomputed, strict=True)
     return {f"{prefix}{number}": pair for number, pair in enumerate(pairs)}
 
 
-def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checked]:
+def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[CheckedClaim]:
     """Check that free runs of a model start from the kind of initial state that `record.json`
     states.
 
@@ -200,7 +202,7 @@ def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[
         return
     starts = choose_initial_state_source(run.model, records)
     if is_from_past:
-        pairs = label_pairs(stored, getattr(starts, split))
+        pairs = name_value_pairs(stored, getattr(starts, split))
         yield check_agreement(
             f"{split}.mcap start_states", pairs, ITERATED, "the log's past gives it"
         )
@@ -209,7 +211,7 @@ def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[
     is_past_chosen = any(state is not None for state in starts.chosen_initial_states(split))
     agrees = starts.is_undecided or is_from_past == is_past_chosen
     observation = f"training and validation records prefer {starts.choice}"
-    yield Checked(claim=f"{split}.mcap start", holds=agrees, found=observation)
+    yield CheckedClaim(claim=f"{split}.mcap start", holds=agrees, found=observation)
 
 
 def check_model(run: RunFiles) -> Claims:
@@ -220,7 +222,7 @@ def check_model(run: RunFiles) -> Claims:
         yield check_agreement(
             "model.json step_s", {"step_s": steps}, ONE_FORMULA, "that of the records"
         )
-        yield NotChecked(unverifiable_numbers(run))
+        yield UncheckedValues(unverifiable_numbers(run))
     yield check_entries(run, "model.json", run.model)
 
 
@@ -232,7 +234,7 @@ def check_fits(run: RunFiles) -> Claims:
         stored = getattr(run.model_run, split)
         start_up = stored.start_up_samples
         replay = Simulation.simulate_records(run.model, stored.records, start_up, stored.starts)
-        pairs = label_pairs(stored.simulated, replay.simulated)
+        pairs = name_value_pairs(stored.simulated, replay.simulated)
         yield check_agreement(
             f"{split}.mcap /simulated", pairs, ONE_FORMULA, "model.json replays it"
         )
@@ -257,7 +259,7 @@ def check_loops(run: RunFiles) -> Claims:
     measured = stored
     if run.plant.real:
         reason = "recorded on a device, which is not run again"
-        yield NotChecked({"closed_loop.mcap output, states": reason})
+        yield UncheckedValues({"closed_loop.mcap output, states": reason})
     else:
         again = fitted.run_on_plant(run.plant, controller, run.specification.loop_seed)
         yield check_loop_on_plant(stored, again)
@@ -283,34 +285,34 @@ def check_textbook_pi(run: RunFiles) -> Claims:
     )
 
 
-def check_loop_files(run: RunFiles) -> Iterator[Checked]:
+def check_loop_files(run: RunFiles) -> Iterator[CheckedClaim]:
     """Check that a run has recordings of closed loops if and only if a loop was closed."""
     present = {name for name in LOOPS if (run.path / name).is_file()}
     if not run.closes_loop:
         for name in sorted(present):
-            yield Checked(claim=name, holds=False, found="such a run closes no loop")
+            yield CheckedClaim(claim=name, holds=False, found="such a run closes no loop")
         return
     needed = {"closed_loop.mcap", "closed_loop_model.mcap"}
     if run.specification.loop.comparison:
         needed.add("comparison.csv")
     for name in sorted(needed - present):
-        yield Checked(claim=name, holds=False, found="is absent")
+        yield CheckedClaim(claim=name, holds=False, found="is absent")
 
 
 def check_loop_signals(
     run: RunFiles, controller: ObserverFeedback, stored: LoopRuns, loop_on: str
-) -> Iterator[Checked]:
+) -> Iterator[CheckedClaim]:
     """Check that the controller, fed with the recorded output of a closed loop, computes the
     recorded input. What the loop was closed on is checked, too."""
     error = replay_error(controller, stored.controlled, run.loop.limits)
     observation = f"the certified gains give it from the measured output to {error:.1e}"
-    yield Checked(claim="closed_loop.mcap input", holds=error <= ITERATED, found=observation)
+    yield CheckedClaim(claim="closed_loop.mcap input", holds=error <= ITERATED, found=observation)
     holds = loop_on == loop_place_label(run.specification.plant)
     observation = f"recorded on the {loop_on}"
-    yield Checked(claim="closed_loop.mcap loop_on", holds=holds, found=observation)
+    yield CheckedClaim(claim="closed_loop.mcap loop_on", holds=holds, found=observation)
 
 
-def check_loop_on_plant(stored: LoopRuns, recomputed: LoopRuns) -> Checked:
+def check_loop_on_plant(stored: LoopRuns, recomputed: LoopRuns) -> CheckedClaim:
     """Check that the configured plant with the certified gains reproduces the recorded closed
     loops."""
     pairs = loop_signal_pairs(stored.controlled, recomputed.controlled)

@@ -34,10 +34,10 @@ from ssm_study.robustness.coverage import ModelErrorSpectra, measure_error_spect
 from ssm_study.robustness.mismatch import Mismatch, measure_model_error
 from ssm_study.signals import input_limits
 from ssm_study.study.findings import (
-    Checked,
+    CheckedClaim,
     Claims,
     DerivedColumns,
-    NotChecked,
+    UncheckedValues,
     check_agreement,
     check_entries,
 )
@@ -73,11 +73,11 @@ def check_certificate(run: RunFiles) -> Claims:
     yield check_entries(run, "certificate.json", design)
     misfits = [sentence for sentence in sentences if sentence.endswith(UNFIT)]
     if misfits:
-        yield Checked(claim="certificate.json", holds=False, found="; ".join(misfits))
+        yield CheckedClaim(claim="certificate.json", holds=False, found="; ".join(misfits))
         return
-    yield NotChecked({f"certificate.{label}": WITHDRAWN for label in design.withdrawn})
+    yield UncheckedValues({f"certificate.{label}": WITHDRAWN for label in design.withdrawn})
     if TOLERANCE in design.withdrawn:
-        yield NotChecked({"certified_tolerance": WITHDRAWN})
+        yield UncheckedValues({"certified_tolerance": WITHDRAWN})
     for label, part in design.certificates_by_name.items():
         yield check_stored_certificate(run, label, part, sentences)
     yield from check_internal_model(run)
@@ -91,7 +91,7 @@ def check_certificate(run: RunFiles) -> Claims:
         facts |= faster_response_column(design, run.model, mismatch, *records)
     facts |= recompute_sine_columns(run, balls, mismatch, facts.get("coverage"))
     yield DerivedColumns(withhold_predictions(facts, run.record.get("evidence")))
-    yield NotChecked(columns_of_later_versions(run) | unrepeated_search_reason(run))
+    yield UncheckedValues(columns_of_later_versions(run) | unrepeated_search_reason(run))
 
 
 def columns_of_later_versions(run: RunFiles) -> dict[str, str]:
@@ -134,7 +134,7 @@ def lacks_coverage(run: RunFiles) -> bool:
 
 def check_stored_certificate(
     run: RunFiles, label: str, part: Theorem | Infeasible, sentences: list[str]
-) -> Checked:
+) -> CheckedClaim:
     """Check one stored certificate in exact arithmetic, and that it was made by the requested
     method."""
     wrong = [sentence for sentence in sentences if re.match(rf"{label}\b", sentence)]
@@ -145,10 +145,10 @@ def check_stored_certificate(
     verdict = "certified" if part.certified else f"without certificate: {reason}"
     at_rate = f" at rate {part.rate:.6g}" if hasattr(part, "rate") else ""
     observation = "; ".join(wrong) or f"exact arithmetic finds it {verdict}"
-    return Checked(claim=f"certificate.{label}{at_rate}", holds=not wrong, found=observation)
+    return CheckedClaim(claim=f"certificate.{label}{at_rate}", holds=not wrong, found=observation)
 
 
-def check_internal_model(run: RunFiles) -> Iterator[Checked]:
+def check_internal_model(run: RunFiles) -> Iterator[CheckedClaim]:
     """Check that the internal model in the state feedback of a run is the requested one."""
     words = getattr(run.specification.synthesis, "modes", ())
     feedback = run.design.state_feedback
@@ -161,7 +161,7 @@ def check_internal_model(run: RunFiles) -> Iterator[Checked]:
     yield check_agreement("certificate internal model", pairs, ONE_FORMULA, source)
 
 
-def check_input_limits(run: RunFiles) -> Iterator[Checked]:
+def check_input_limits(run: RunFiles) -> Iterator[CheckedClaim]:
     """Check that the certificates of a run use the input limits of its loop or of its records."""
     loop = run.specification.loop
     physical = np.stack(input_limits(loop.input_lower, loop.input_upper, run.training_inputs))
@@ -175,7 +175,7 @@ def check_input_limits(run: RunFiles) -> Iterator[Checked]:
         yield check_agreement("certificate limits", pairs, ONE_FORMULA, source)
 
 
-def check_unlimited_initial_states(run: RunFiles) -> Iterator[Checked]:
+def check_unlimited_initial_states(run: RunFiles) -> Iterator[CheckedClaim]:
     """Check the stored initial states for which a closed loop is proved never to reach an input
     limit."""
     model = run.model
@@ -186,19 +186,19 @@ def check_unlimited_initial_states(run: RunFiles) -> Iterator[Checked]:
 
 def check_stored_initial_states(
     part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None
-) -> Checked:
+) -> CheckedClaim:
     """Check that the initial states in a certificate equal the initial states computed from the
     model."""
     claim = "certificate starts"
     if starts is None or starts.shape != part.starts.shape:
         observation = "the outputs at rest do not tell the states of this model"
-        return Checked(claim=claim, holds=False, found=observation)
+        return CheckedClaim(claim=claim, holds=False, found=observation)
     source = "states at rest at the corners of a box of outputs"
     comparison = check_agreement(claim, {"starts": (part.starts, starts)}, ITERATED, source)
     derived_variables = part.variables | {"starts": starts}
     if comparison.holds and not part.holds(**derived_variables):
         problem = "beyond the level set where they are at rest"
-        return Checked(claim=claim, holds=False, found=problem)
+        return CheckedClaim(claim=claim, holds=False, found=problem)
     return comparison
 
 

@@ -10,7 +10,7 @@ from ssm_study.engine.records import RECORD
 from ssm_study.engine.stages import Stage
 from ssm_study.engine.store import MANIFEST, damaged_files
 from ssm_study.study import trials
-from ssm_study.study.findings import Checked, Claims, NotChecked
+from ssm_study.study.findings import CheckedClaim, Claims, UncheckedValues
 from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles
 from ssm_study.study.stages.catalogue import STAGES
 from ssm_study.study.stages.dataset import DATASET
@@ -36,16 +36,16 @@ def check_files(run: RunFiles) -> Claims:
     damaged = damaged_files(run.path, manifest) if manifest else [MANIFEST]
     changed = f"changed since: {', '.join(damaged)}"
     observation = changed if damaged else "as they were written"
-    yield Checked(claim="files", holds=not damaged, found=observation)
+    yield CheckedClaim(claim="files", holds=not damaged, found=observation)
     if not (run.path / CONFIGURATION).is_file():
-        yield Checked(claim=CONFIGURATION, holds=False, found="is absent")
+        yield CheckedClaim(claim=CONFIGURATION, holds=False, found="is absent")
         return
     sealed_names = set(manifest["files"]) if manifest else set()
     yield from find_foreign_or_absent_files(run, sealed_names)
     yield from list_files_not_checked(run)
 
 
-def find_foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Checked]:
+def find_foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[CheckedClaim]:
     """Failed checks for files of a run that are missing, have no checksum, or should not be
     there."""
     needed = {CONFIGURATION, "model.json", "validation.mcap", "test.mcap", "excitation.mcap"}
@@ -67,7 +67,7 @@ def find_foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Ch
     }
     for observation, names in wrong.items():
         for name in sorted(names):
-            yield Checked(claim=name, holds=False, found=observation)
+            yield CheckedClaim(claim=name, holds=False, found=observation)
 
 
 def result_file_names(folder: Path) -> set[str]:
@@ -90,18 +90,22 @@ def is_not_a_result(name: str) -> bool:
     return is_log_of_arrays or is_exported or is_picture_or_log
 
 
-def list_files_not_checked(run: RunFiles) -> Iterator[NotChecked]:
+def list_files_not_checked(run: RunFiles) -> Iterator[UncheckedValues]:
     """List files of a run, and values in these files, that no check recomputes, each with the
     reason."""
-    yield NotChecked({"runs.parquet, runs.csv, report.html, figures and exports": MADE_OF_RUNS})
+    yield UncheckedValues(
+        {"runs.parquet, runs.csv, report.html, figures and exports": MADE_OF_RUNS}
+    )
     repeated = ("training_curve.json, choice.json", "certificate.json seconds, solver_status")
     reasons = dict.fromkeys(repeated, NOT_REPEATED)
-    yield NotChecked(reasons | {OVERRIDES: "the configuration alone says what ran"})
-    yield NotChecked({f"{CONFIGURATION} training, model.starts, model.draws": NOT_REPEATED})
+    yield UncheckedValues(reasons | {OVERRIDES: "the configuration alone says what ran"})
+    yield UncheckedValues({f"{CONFIGURATION} training, model.starts, model.draws": NOT_REPEATED})
     if run.has_certifiable_model:
-        yield NotChecked({f"{CONFIGURATION} synthesis, but its method and rates": NOT_CHOSEN_AGAIN})
+        yield UncheckedValues(
+            {f"{CONFIGURATION} synthesis, but its method and rates": NOT_CHOSEN_AGAIN}
+        )
     if run.specification.loop.comparison is not None:
-        yield NotChecked({"comparison.csv": "its loops are not kept"})
+        yield UncheckedValues({"comparison.csv": "its loops are not kept"})
     if isinstance(run.specification.refine, int):
         reason = "its loops are made again; that these designs were chosen is not"
-        yield NotChecked({trials.TRIED: reason})
+        yield UncheckedValues({trials.TRIED: reason})

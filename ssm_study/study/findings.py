@@ -5,12 +5,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ssm_study.study.recordings import relative_distance
+from ssm_study.study.recordings import largest_relative_difference
 from ssm_study.study.run_files import RunFiles, find_unknown_entries
 
 
 @dataclass(frozen=True, kw_only=True)
-class Checked:
+class CheckedClaim:
     """Checked claim of a run: whether the claim holds, and what was observed."""
 
     claim: str
@@ -40,23 +40,23 @@ class UnconfirmableSettings:
 
 
 @dataclass(frozen=True)
-class NotChecked:
+class UncheckedValues:
     """Recorded values or files of a run that cannot be checked, each with the reason."""
 
     reasons: Mapping[str, str]
 
 
-Claims = Iterator[Checked | DerivedColumns | UnconfirmableSettings | NotChecked]
+Claims = Iterator[CheckedClaim | DerivedColumns | UnconfirmableSettings | UncheckedValues]
 
 
 def check_agreement(
     claim: str, pairs: Mapping[str, tuple[Any, Any]], tolerance: float, source: str
-) -> Checked:
+) -> CheckedClaim:
     """Check whether stored values equal recomputed ones up to a tolerance.
 
     `source` says in words what gives the value.
     """
-    distances = {name: relative_distance(*pair) for name, pair in pairs.items()}
+    distances = {name: largest_relative_difference(*pair) for name, pair in pairs.items()}
     worst = max(distances, key=lambda name: distances[name])
     largest = distances[worst]
     # So written that NaN is wrong.
@@ -64,11 +64,11 @@ def check_agreement(
     observation = f"{source} to {largest:.1e}"
     if wrong:
         observation = f"{', '.join(wrong)} differ by up to {largest:.1e}"
-    return Checked(claim=claim, holds=not wrong, found=observation)
+    return CheckedClaim(claim=claim, holds=not wrong, found=observation)
 
 
-def check_entries(run: RunFiles, file: str, read: Any) -> Checked:
+def check_entries(run: RunFiles, file: str, read: Any) -> CheckedClaim:
     """Check that a file of a run contains no entries that the program would ignore."""
     extra = find_unknown_entries(run.read_stored_object(file), read.to_json())
     observation = f"unknown: {', '.join(extra)}" if extra else "known"
-    return Checked(claim=f"{file} entries", holds=not extra, found=observation)
+    return CheckedClaim(claim=f"{file} entries", holds=not extra, found=observation)

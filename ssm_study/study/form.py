@@ -9,7 +9,7 @@ from ssm_study.certificates.certificate import Infeasible
 from ssm_study.columns import Column
 from ssm_study.durable import open_regular_file
 from ssm_study.loop.regulation import IdentifiedPlant
-from ssm_study.study.findings import Checked, Claims, NotChecked
+from ssm_study.study.findings import CheckedClaim, Claims, UncheckedValues
 from ssm_study.study.loop_recordings import NOISE_FREE
 from ssm_study.study.recording_labels import TOPICS_BY_FILE, find_foreign_contents
 from ssm_study.study.recordings import RecordedCases
@@ -37,14 +37,14 @@ def check_form(run: RunFiles) -> Claims:
     for name in ERRORS:
         if run.record.get(name) is not None:
             observation = "stands in the record of a run that did not fail"
-            yield Checked(claim=name, holds=False, found=observation)
+            yield CheckedClaim(claim=name, holds=False, found=observation)
     for name, value in run.record.items():
         column = find_declaration(name)
         if column is None or column.is_pattern:  # those of one pattern may differ in kind
             continue
         if not has_declared_type(column, value):
             observation = f"is a {type(value).__name__}, not a {column.kind}"
-            yield Checked(claim=f"{name} kind", holds=False, found=observation)
+            yield CheckedClaim(claim=f"{name} kind", holds=False, found=observation)
     yield from _check_unreduced_fit(run)
     if run.has_certifiable_model:
         yield from _check_reason_texts(run)
@@ -62,15 +62,15 @@ def has_declared_type(column: Column, value: Any) -> bool:
     return is_truth == (column.kind == "boolean") and isinstance(value, TYPES[column.kind])
 
 
-def _report_links(folder: Path) -> Iterator[Checked]:
+def _report_links(folder: Path) -> Iterator[CheckedClaim]:
     """Failed checks for symbolic links in a run folder, one for each link."""
     links = [path for path in sorted(folder.rglob("*")) if path.is_symlink()]
     for path in links:
         name = path.relative_to(folder).as_posix()
-        yield Checked(claim=name, holds=False, found="is a link, and no file of this run")
+        yield CheckedClaim(claim=name, holds=False, found="is a link, and no file of this run")
 
 
-def _report_byte_order_marks(folder: Path) -> Iterator[Checked]:
+def _report_byte_order_marks(folder: Path) -> Iterator[CheckedClaim]:
     """Failed checks for text files of a run that begin with a byte order mark, one for each
     file."""
     for path in sorted(folder.rglob("*")):
@@ -80,10 +80,10 @@ def _report_byte_order_marks(folder: Path) -> Iterator[Checked]:
             begins = stream.read(4)
         if begins.startswith((codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
             name = path.relative_to(folder).as_posix()
-            yield Checked(claim=name, holds=False, found="begins with a byte order mark")
+            yield CheckedClaim(claim=name, holds=False, found="begins with a byte order mark")
 
 
-def _report_foreign_contents(folder: Path) -> Iterator[Checked]:
+def _report_foreign_contents(folder: Path) -> Iterator[CheckedClaim]:
     """Failed checks for recordings with signals or attachments that no run writes, one for each
     file."""
     for path in sorted(folder.glob("*.mcap")):
@@ -92,10 +92,10 @@ def _report_foreign_contents(folder: Path) -> Iterator[Checked]:
         foreign = find_foreign_contents(path)
         if foreign:
             observation = f"no run writes there: {', '.join(foreign[:5])}"
-            yield Checked(claim=f"{path.name} contents", holds=False, found=observation)
+            yield CheckedClaim(claim=f"{path.name} contents", holds=False, found=observation)
 
 
-def _check_unreduced_fit(run: RunFiles) -> Iterator[Checked]:
+def _check_unreduced_fit(run: RunFiles) -> Iterator[CheckedClaim]:
     """Check that the fits before and after model reduction are equal where no state was removed."""
     before = run.record.get(BEFORE)
     requested = run.specification.configuration["model"].get("order")
@@ -105,7 +105,7 @@ def _check_unreduced_fit(run: RunFiles) -> Iterator[Checked]:
     same = False
     if isinstance(fit, float) and isinstance(before, float):
         same = abs(before - fit) <= 1e-6 * max(1.0, abs(fit))
-    yield Checked(claim=BEFORE, holds=same, found=f"nothing was reduced, and the fit is {fit}")
+    yield CheckedClaim(claim=BEFORE, holds=same, found=f"nothing was reduced, and the fit is {fit}")
 
 
 def _check_reason_texts(run: RunFiles) -> Claims:
@@ -116,16 +116,16 @@ def _check_reason_texts(run: RunFiles) -> Claims:
         is_sentence = part.reason.isprintable() and len(part.reason) <= LONGEST_REASON
         claim = f"certificate.{label} reason"
         if not is_sentence:
-            yield Checked(claim=claim, holds=False, found="is no sentence of one line")
+            yield CheckedClaim(claim=claim, holds=False, found="is no sentence of one line")
         else:
-            yield NotChecked({claim: "words, which decide nothing"})
+            yield UncheckedValues({claim: "words, which decide nothing"})
 
 
 def _check_settling_bands(run: RunFiles) -> Claims:
     """Check that each recording of a closed loop states the settling band of its plant."""
     if run.missing_log_reason:
         claim = "closed_loop_model.mcap settling_band"
-        yield NotChecked({claim: run.missing_log_reason})
+        yield UncheckedValues({claim: run.missing_log_reason})
         return
     twin = IdentifiedPlant.from_model(run.model, run.data.inputs, run.data.outputs)
     for name in ("closed_loop.mcap", NOISE_FREE, "closed_loop_model.mcap"):
@@ -136,4 +136,4 @@ def _check_settling_bands(run: RunFiles) -> Claims:
         stored = RecordedCases.from_file(path).settling_band
         same = abs(stored - plant.settling_band) <= 1e-9 * abs(plant.settling_band)
         observation = f"{stored}, and the plant's is {plant.settling_band}"
-        yield Checked(claim=f"{name} settling_band", holds=same, found=observation)
+        yield CheckedClaim(claim=f"{name} settling_band", holds=same, found=observation)

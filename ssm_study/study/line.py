@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ssm_study.signals import DataSet
     from ssm_study.study.specification import Specification
     from ssm_study.study.stages.free_run import ModelRun
-    from ssm_study.study.stages.model import Trained
+    from ssm_study.study.stages.model import TrainedModel
 
 LOCAL = ("ProcessesLauncher", "BasicLauncher", "JoblibLauncher")  # these run jobs on this machine
 
@@ -186,7 +186,7 @@ class Study(Task["Specification"]):
 
     def identify_model(
         self, request: "Specification", stages: Stages
-    ) -> tuple[StageOutput["DataSet"], StageOutput["Trained"], StageOutput["ModelRun"]]:
+    ) -> tuple[StageOutput["DataSet"], StageOutput["TrainedModel"], StageOutput["ModelRun"]]:
         """Run the computing steps that lead from the recorded data to the identified model and its
         free-run simulations."""
         from ssm_study.study.stages.bounds import BOUNDS

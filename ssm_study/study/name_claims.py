@@ -13,7 +13,7 @@ from ssm_study.engine.settings import (
     run_name_part,
     walk_nodes,
 )
-from ssm_study.study.findings import Checked
+from ssm_study.study.findings import CheckedClaim
 from ssm_study.study.run_files import RunFiles
 from ssm_study.table.gather import PARQUET
 
@@ -53,12 +53,12 @@ def expected_name_part(part: str, settings: Mapping[str, Any]) -> str:
     return part if part in expected or not expected else expected[0]
 
 
-def check_folder_name(folder: Path, name: str) -> Checked:
+def check_folder_name(folder: Path, name: str) -> CheckedClaim:
     """Check that a run's folder is named as the run's record states, so that each run counts once
     in its study."""
     study = folder.parent
     is_in_a_study = (study / PARQUET).exists() or (study / name).exists()
     if folder.name == name or not is_in_a_study:
-        return Checked(claim="folder", holds=True, found=f"{folder.name} stands once")
+        return CheckedClaim(claim="folder", holds=True, found=f"{folder.name} stands once")
     problem = f"counts as one more run of its study: delete it, or name it {name}"
-    return Checked(claim="folder", holds=False, found=f"{folder.name} {problem}")
+    return CheckedClaim(claim="folder", holds=False, found=f"{folder.name} {problem}")

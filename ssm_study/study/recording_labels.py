@@ -47,7 +47,7 @@ Channels = Mapping[str, tuple[Channel, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Labels:
+class RecordingLabels:
     """Channel names, units and descriptions that one recording of a run should have."""
 
     file: str
@@ -55,7 +55,7 @@ class Labels:
     words: Mapping[str, str]
 
 
-def expected_labels(run: RunFiles, data: DataSet) -> Iterator[Labels]:
+def expected_labels(run: RunFiles, data: DataSet) -> Iterator[RecordingLabels]:
     """Channel names, units and descriptions that the recordings of a run should have, from its data
     and plants."""
     expected = record_labels(data)
@@ -66,16 +66,16 @@ def expected_labels(run: RunFiles, data: DataSet) -> Iterator[Labels]:
             yield labels
 
 
-def record_labels(data: DataSet) -> list[Labels]:
+def record_labels(data: DataSet) -> list[RecordingLabels]:
     """Channel names and units that recordings of measurements and of model simulations should
     have."""
     files = ("excitation.mcap", "validation.mcap", "test.mcap", TRIALS, LOOPS)
     channels = {"input": data.inputs, "measured": data.outputs, "simulated": data.outputs}
     channels["disturbance"] = data.disturbances
-    return [Labels(file=file, channels=channels, words=data.metadata) for file in files]
+    return [RecordingLabels(file=file, channels=channels, words=data.metadata) for file in files]
 
 
-def loop_labels(run: RunFiles, data: DataSet) -> list[Labels]:
+def loop_labels(run: RunFiles, data: DataSet) -> list[RecordingLabels]:
     """Channel names and units that the recordings of closed loops should have."""
     spec = run.specification
     twin = IdentifiedPlant.from_model(run.model, data.inputs, data.outputs)
@@ -87,7 +87,8 @@ def loop_labels(run: RunFiles, data: DataSet) -> list[Labels]:
     }
     plants = {ON_PLANT: plant, NOISE_FREE: plant, ON_MODEL: twin}
     return [
-        Labels(file=file, channels=loop_channels(on), words=words) for file, on in plants.items()
+        RecordingLabels(file=file, channels=loop_channels(on), words=words)
+        for file, on in plants.items()
     ]
 
 

@@ -187,7 +187,7 @@ def read_mismatch_records(folder: Path) -> Trajectories:
     return tuple(records)
 
 
-def read_simulation(path: Path) -> Simulation:
+def read_free_runs(path: Path) -> Simulation:
     """Read a model's free runs and the measured records from a recording file.
 
     Raises `BadRequest` if the file lacks a topic.
@@ -239,7 +239,7 @@ def record_signal_pairs(stored: Trajectories, recomputed: Trajectories) -> Pairs
     return pairs
 
 
-def relative_distance(stored: Any, recomputed: Any) -> float:
+def largest_relative_difference(stored: Any, recomputed: Any) -> float:
     """Largest difference between a stored and a recomputed array, relative to the largest
     recomputed entry.
 

@@ -47,7 +47,7 @@ def refine(run: Path, log: Path | None = None, iterations: int = TIMES) -> Itera
     the closed loops on the run's own plant. Raises `BadRequest` for a run that is not ok, has no
     controller or no plant, or for its log.
     """
-    files = _check_refinable_run(run, log)
+    files = _open_refinable_run(run, log)
     for _ in range(1 if log else iterations):
         trial = _measure_trial(files, log)
         if trial.is_refinement_complete:
@@ -80,7 +80,7 @@ def _has_same_gains(files: RunFiles, child: RunFiles) -> bool:
     return all(np.array_equal(before[name], after[name]) for name in before)
 
 
-def _check_refinable_run(run: Path, log: Path | None) -> RunFiles:
+def _open_refinable_run(run: Path, log: Path | None) -> RunFiles:
     """Open the files of a run, after a check that its controller can be refined by closed-loop
     trials. Raises `BadRequest` for any other run."""
     files = RunFiles(path=run, record=read_record(run) or {})

@@ -8,29 +8,29 @@ from ssm_study.certificates.bilinear_certificates import BilinearDesign, failed_
 from ssm_study.models.bilinear import Bilinear
 from ssm_study.models.stored import model_from_json
 from ssm_study.refusal import BadRequest
-from ssm_study.study.findings import Checked
+from ssm_study.study.findings import CheckedClaim
 
 LABELS = {CHANNELS: "names and units, which decide nothing"}
 NO_FILES = (BadRequest, ValueError, KeyError, TypeError)
 
 
-def check_rest_design(folder: Path) -> Iterator[Checked]:
+def check_rest_design(folder: Path) -> Iterator[CheckedClaim]:
     """Check every certificate of a saved design for a bilinear model again in exact arithmetic."""
     for name in foreign_files(folder):
-        yield Checked(claim=name, holds=False, found="belongs to no saved bilinear design")
+        yield CheckedClaim(claim=name, holds=False, found="belongs to no saved bilinear design")
     try:
         model = model_from_json(read_json(folder / MODEL))
         content = read_json(folder / CERTIFICATE)
     except NO_FILES as error:
-        yield Checked(claim=MODEL, holds=False, found=str(error))
+        yield CheckedClaim(claim=MODEL, holds=False, found=str(error))
         return
     if not isinstance(model, Bilinear):
-        yield Checked(claim=MODEL, holds=False, found="has no products of input and state")
+        yield CheckedClaim(claim=MODEL, holds=False, found="has no products of input and state")
         return
     broken = failed_bilinear_checks(content, model)
     for sentence in broken:
-        yield Checked(claim=CERTIFICATE, holds=False, found=sentence)
+        yield CheckedClaim(claim=CERTIFICATE, holds=False, found=sentence)
     if not broken:
         for label, part in BilinearDesign.from_json(content).parts.items():
             verdict = "certified" if part.certified else "not certified"
-            yield Checked(claim=f"certificate.{label}", holds=True, found=verdict)
+            yield CheckedClaim(claim=f"certificate.{label}", holds=True, found=verdict)

@@ -28,10 +28,10 @@ from ssm_study.refusal import escape_control_characters, require
 from ssm_study.renamed import withdrawn_setting
 from ssm_study.study.claims import OF_A_BASELINE, SECTIONS
 from ssm_study.study.findings import (
-    Checked,
+    CheckedClaim,
     Claims,
     DerivedColumns,
-    NotChecked,
+    UncheckedValues,
     UnconfirmableSettings,
 )
 from ssm_study.study.form import check_form
@@ -51,10 +51,10 @@ class Verification:
     """Result of checking every claim (setting, result or certificate) of a run, with one finding
     for each."""
 
-    findings: tuple[Checked, ...]
+    findings: tuple[CheckedClaim, ...]
     unchecked: Mapping[str, str]
 
-    def __iter__(self) -> Iterator[Checked]:
+    def __iter__(self) -> Iterator[CheckedClaim]:
         """Iterate over the findings of the verification of a run."""
         return iter(self.findings)
 
@@ -109,7 +109,7 @@ class Verification:
         return json.dumps(verdict, indent=1)
 
 
-def finding_lines(findings: Sequence[Checked]) -> list[str]:
+def finding_lines(findings: Sequence[CheckedClaim]) -> list[str]:
     """Text lines of a verification: each claim that holds, and each reason for failed claims."""
     failing: dict[str, list[str]] = {}
     for finding in findings:
@@ -127,7 +127,7 @@ def finding_lines(findings: Sequence[Checked]) -> list[str]:
     return lines
 
 
-def _finding_text(finding: Checked) -> str:
+def _finding_text(finding: CheckedClaim) -> str:
     """Text that says why a check failed; failed checks with the same text are printed in one line.
     If no file determines the column, the stored value is left out."""
     return UNGIVEN if finding.found.endswith(UNGIVEN) else finding.found
@@ -150,7 +150,7 @@ def verify(run: Path) -> Verification:
     remedy = f"see {trace}" if trace.is_file() else f"see error_message in {run / RECORD}"
     require(status != FAILED, "run", run, problem, remedy)
     if status == CORRUPT:
-        damaged = Checked(claim=RECORD, holds=False, found="is not as it was written")
+        damaged = CheckedClaim(claim=RECORD, holds=False, found="is not as it was written")
         return Verification(findings=(damaged,), unchecked={})
     problem = f"its status is {status}, so it claims nothing yet"
     remedy = "give a run that is ok or infeasible"
@@ -162,12 +162,12 @@ def verify(run: Path) -> Verification:
 
 def verify_files(run: RunFiles) -> Verification:
     """Check every claim of a finished run, given its opened files."""
-    findings: list[Checked] = []
+    findings: list[CheckedClaim] = []
     derived: dict[str, Any] = {}
     repeated: dict[str, str] = {}
     unchecked: dict[str, str] = {}
     for result in _findings_of_sections(run):
-        if isinstance(result, Checked):
+        if isinstance(result, CheckedClaim):
             findings.append(result)
         elif isinstance(result, DerivedColumns):
             derived |= result.columns
@@ -180,9 +180,9 @@ def verify_files(run: RunFiles) -> Verification:
     # Also what the record lacks although its files give it.
     for name in dict.fromkeys((*derived, *run.record)):
         judgement = judge_column(name, run.record, derived, unchecked)
-        if isinstance(judgement, Checked) and judgement.holds and name in repeated:
+        if isinstance(judgement, CheckedClaim) and judgement.holds and name in repeated:
             unchecked[name] = repeated[name]
-        elif isinstance(judgement, Checked):
+        elif isinstance(judgement, CheckedClaim):
             if cut_short and judgement.found.endswith(UNGIVEN):
                 unchecked[name] = UNREACHED
             else:
@@ -194,14 +194,14 @@ def verify_files(run: RunFiles) -> Verification:
 
 def _findings_of_sections(
     run: RunFiles,
-) -> Iterator[Checked | DerivedColumns | UnconfirmableSettings | NotChecked]:
+) -> Iterator[CheckedClaim | DerivedColumns | UnconfirmableSettings | UncheckedValues]:
     """Results of all checks that apply to a run; an error in a check becomes a failed claim."""
     for section in (check_form, *_applicable_sections(run)):
         try:
             yield from section(run)
         except Exception as error:
             problem = f"{NOT_DERIVED}{error_text(error)}"
-            yield Checked(claim=section_claim(section.__name__), holds=False, found=problem)
+            yield CheckedClaim(claim=section_claim(section.__name__), holds=False, found=problem)
 
 
 def section_claim(function: str) -> str:
@@ -223,7 +223,7 @@ def _applicable_sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]
 
 def judge_column(
     name: str, record: Mapping[str, Any], derived: Mapping[str, Any], unchecked: Mapping[str, str]
-) -> Checked | str:
+) -> CheckedClaim | str:
     """Verdict on one value in a run's record, or the reason why the value is not checked. It is
     empty if the record claims nothing."""
     column = find_declaration(name)
@@ -240,19 +240,21 @@ def judge_column(
     if reason:
         return reason
     problem = UNGIVEN if column else "no such column is declared"
-    return Checked(claim=name, holds=False, found=f"stored {_short_text(stored)}, yet {problem}")
+    return CheckedClaim(
+        claim=name, holds=False, found=f"stored {_short_text(stored)}, yet {problem}"
+    )
 
 
-def compare_column(name: str, stored: Any, value: Any) -> Checked:
+def compare_column(name: str, stored: Any, value: Any) -> CheckedClaim:
     """Verdict on whether a value in a run's record equals the recomputed one."""
     column = find_declaration(name) or Column(name, "Float64")
     value = storable_value(
         name, value
     )  # as a record holds it: an infinite margin is the text `inf`
     if _is_equal_to_rounding(stored, value, column):
-        return Checked(claim=name, holds=True, found=f"{value}")
+        return CheckedClaim(claim=name, holds=True, found=f"{value}")
     observation = f"derived {value}, stored {_short_text(stored)}"
-    return Checked(claim=name, holds=False, found=observation)
+    return CheckedClaim(claim=name, holds=False, found=observation)
 
 
 def _is_equal_to_rounding(stored: Any, value: Any, column: Column) -> bool:

@@ -20,7 +20,12 @@ import ssm_study as st
 from ssm_study.api import parts
 from ssm_study.api.design import Design
 from ssm_study.api.model import Model
-from ssm_study.api.summaries import choice_text, chosen_sizes, size_text, summarise_prediction
+from ssm_study.api.summaries import (
+    chosen_settings_text,
+    chosen_sizes,
+    size_text,
+    summarise_prediction,
+)
 from ssm_study.cli.main import main
 from ssm_study.refusal import BadRequest
 from ssm_study.study.verify import verify
@@ -68,13 +73,15 @@ def _no_figures_after_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("name", MODULES)
 def test_docstrings_run(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The examples hold as they stand; the trainings in them are shortened."""
-    whole = parts.Parts.__init__
+    whole = parts.StudyParts.__init__
 
-    def shortened(self: parts.Parts, choices: dict[str, str], words: tuple[str, ...] = ()) -> None:
+    def shortened(
+        self: parts.StudyParts, choices: dict[str, str], words: tuple[str, ...] = ()
+    ) -> None:
         short = (*SHORT, *SIZES) if choices.get("model") == "log" else ()
         whole(self, choices, (*short, *words))
 
-    monkeypatch.setattr(parts.Parts, "__init__", shortened)
+    monkeypatch.setattr(parts.StudyParts, "__init__", shortened)
     result = doctest.testmod(import_module(f"ssm_study.api.{name}"))
     assert result.failed == 0
     assert result.attempted > 0
@@ -393,4 +400,6 @@ def test_the_summary_counts_states_and_neurons_as_the_choice_does() -> None:
     assert size_text(5, 5) == 5
     assert size_text(5, None) == 5
     assert size_text(4, 5) == "4 (of the 5 chosen, the others were not needed)"
-    assert choice_text("order 3, input path none") == "order 3, input drives the neurons no"
+    assert (
+        chosen_settings_text("order 3, input path none") == "order 3, input drives the neurons no"
+    )

@@ -16,11 +16,11 @@ from rich.console import Console
 from ssm_study import style
 from ssm_study.cli import commands
 from ssm_study.cli.browser import open_page, page_link
-from ssm_study.cli.commands import export_warnings, figures_line, may_overwrite
+from ssm_study.cli.commands import confirm_overwriting, drawn_figures_text, export_warnings
 from ssm_study.cli.hydra_errors import explain_hydra_error
 from ssm_study.cli.main import DONE, WRONG_REQUEST, main
 from ssm_study.cli.request import translate_arguments
-from ssm_study.cli.run import configuration_folder, print_progress
+from ssm_study.cli.run import configuration_folder, print_activity
 from ssm_study.cli.summary import print_run_summary
 from ssm_study.durable import file_lock
 from ssm_study.engine.records import LOCK, write_record
@@ -91,11 +91,11 @@ def test_an_export_asks_before_it_overwrites(
 ) -> None:
     questions: list[str] = []
     monkeypatch.setattr("builtins.input", lambda text: questions.append(text) or answer)
-    assert may_overwrite(tmp_path / "new")
+    assert confirm_overwriting(tmp_path / "new")
     (tmp_path / "controller.h").touch()
-    assert may_overwrite(tmp_path), "without a terminal nobody can be asked"
+    assert confirm_overwriting(tmp_path), "without a terminal nobody can be asked"
     monkeypatch.setattr(sys, "stdin", Terminal())
-    assert may_overwrite(tmp_path) is expected
+    assert confirm_overwriting(tmp_path) is expected
     assert len(questions) == 1
     assert "controller.h" in questions[0]
 
@@ -126,7 +126,7 @@ def test_what_is_not_confirmed_is_not_written(
     monkeypatch.setattr(
         "ssm_study.study.verify.verify", lambda _: type("V", (), {"require_valid": print})
     )
-    monkeypatch.setattr(commands, "may_overwrite", lambda _: False)
+    monkeypatch.setattr(commands, "confirm_overwriting", lambda _: False)
     to_path = str(tmp_path / "to")
     assert main(["export", str(run), "--to", to_path]) == DONE
     assert "nothing written" in capsys.readouterr().out
@@ -152,7 +152,7 @@ def test_progress_is_a_line_a_stage_on_a_terminal_alone(
 ) -> None:
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
-    print_progress("reading the request")
+    print_activity("reading the request")
     for announces in (True, False):
         root = tmp_path / f"{announces}"
         run = Run(path=root)
@@ -162,7 +162,7 @@ def test_progress_is_a_line_a_stage_on_a_terminal_alone(
         assert terminal.getvalue().count("model ...") == 1
     string_io = io.StringIO()
     monkeypatch.setattr(sys, "stderr", string_io)
-    print_progress("reading the request")
+    print_activity("reading the request")
     assert sys.stderr.getvalue() == ""  # type: ignore[attr-defined]
 
 
@@ -191,10 +191,10 @@ def test_a_page_is_a_link_on_a_terminal_and_a_path_in_a_pipe(
 def test_figures_are_counted_unless_they_are_asked_for(tmp_path: Path) -> None:
     kinds = ("png", "pdf")
     paths = [tmp_path / "figures" / f"nyquist.{kind}" for kind in kinds]
-    line = figures_line(paths, left_out=2)
+    line = drawn_figures_text(paths, left_out=2)
     why = "they need other runs or settings"
     assert line == f"1 figures in {tmp_path / 'figures'}, 2 not drawn ({why}); -v lists them"
-    assert figures_line([], left_out=3) == "no figure drawn; -v says why"
+    assert drawn_figures_text([], left_out=3) == "no figure drawn; -v says why"
 
 
 def test_a_run_without_a_setting_says_what_it_does(
@@ -291,4 +291,4 @@ def test_figures_are_listed_where_they_were_asked_for(
     assert main(["report", str(tmp_path), *options]) == DONE
     lines = capsys.readouterr().out.splitlines()
     assert (lines[-1] == str(drawn[0])) is is_listed
-    assert (lines[-1] == figures_line(drawn, 0)) is not is_listed
+    assert (lines[-1] == drawn_figures_text(drawn, 0)) is not is_listed

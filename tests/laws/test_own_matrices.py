@@ -11,7 +11,7 @@ import pytest
 
 import ssm_study as st
 from ssm_study.api.design import Design
-from ssm_study.api.summaries import round_rate_down
+from ssm_study.api.summaries import rate_text
 from ssm_study.certificates.frontier import contraction_frontier
 from ssm_study.refusal import BadRequest
 from ssm_study.systems import JacobianBall
@@ -360,7 +360,7 @@ PROVED_RATES = [0.1, 0.946216, 0.73263159, 0.9999]
 @pytest.mark.parametrize("rate", PROVED_RATES)
 def test_a_printed_rate_is_never_more_than_what_is_proved(rate: float) -> None:
     for digits in (3, 6):
-        printed = float(round_rate_down(rate, digits))
+        printed = float(rate_text(rate, digits))
         assert printed <= rate
         last_digit = 10.0 ** (1 - digits)
         assert printed == pytest.approx(rate, rel=last_digit)
@@ -385,6 +385,6 @@ def test_the_printed_rates_are_the_largest_that_the_gains_prove() -> None:
 
     controller = proof.controller
     assert controller is not None
-    largest = round_rate_down(controller.rate)
+    largest = rate_text(controller.rate)
     printed = repr(design)
     assert f"rate {largest} (asked 0.05)" in printed

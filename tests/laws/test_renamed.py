@@ -21,7 +21,7 @@ from ssm_study.durable import (
 )
 from ssm_study.engine.records import CORRUPT, parse_record, read_record, write_record
 from ssm_study.refusal import BadRequest
-from ssm_study.renamed import OldNameWarning, Withdrawn
+from ssm_study.renamed import OldNameWarning, Withdrawal
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ROOT / "ssm_study"
@@ -180,8 +180,8 @@ def test_stored_targets_are_read_under_their_new_names() -> None:
 @pytest.fixture
 def tables(monkeypatch: pytest.MonkeyPatch) -> None:
     """Entries of every kind, whatever today's tables hold."""
-    gone = Withdrawn(since="0.2", remedy="leave it out", neutral=0.0)
-    choice = Withdrawn(since="0.2", remedy="use model=gru")
+    gone = Withdrawal(since="0.2", remedy="leave it out", neutral=0.0)
+    choice = Withdrawal(since="0.2", remedy="use model=gru")
     monkeypatch.setattr(renamed, "SETTINGS", {"model.summed": "model.integrating"})
     monkeypatch.setattr(renamed, "COLUMNS", {"peak_v": "peak"})
     monkeypatch.setattr(renamed, "WITHDRAWN_SETTINGS", {"training.old_weight": gone})

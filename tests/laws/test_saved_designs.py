@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 import ssm_study as st
-from ssm_study.api.scratch import scratch_folder
+from ssm_study.api.scratch import program_scratch_folder
 from ssm_study.api.summaries import summarise_prediction
 from ssm_study.certificates.certificate import certificate_digest
 from ssm_study.refusal import BadRequest
@@ -35,7 +35,7 @@ def test_a_saved_design_takes_the_log_of_its_arrays_along(tmp_path: Path) -> Non
     settings_file = saved / ".hydra" / "config.yaml"
     settings = settings_file.read_text()
     assert str(copied) in settings
-    assert str(scratch_folder()) not in settings
+    assert str(program_scratch_folder()) not in settings
     loaded = st.load(saved)
     assert repr(loaded) == repr(design), "evidence and prediction are not lost"
     record_file = saved / "record.json"
@@ -69,7 +69,7 @@ def test_a_saved_model_takes_the_log_of_its_arrays_along_and_may_be_moved(tmp_pa
     (log,) = (moved / "logs").iterdir()
     overrides = " ".join(loaded.overrides)
     assert str(log) in overrides
-    assert str(scratch_folder()) not in overrides
+    assert str(program_scratch_folder()) not in overrides
 
 
 def test_coverage_of_an_error_that_the_records_do_not_show_is_withheld() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ssm_study.api import fitting
-from ssm_study.api.parts import GROUPS, Parts, configuration_folders, load_choice
+from ssm_study.api.parts import GROUPS, StudyParts, configuration_folders, load_choice
 from ssm_study.cli.from_python import compose_configuration
 from ssm_study.engine.settings import plain_settings
 from ssm_study.refusal import BadRequest
@@ -47,7 +47,7 @@ def test_every_choice_is_what_hydra_composes(group: str, choice: str) -> None:
 def test_settings_are_what_hydra_composes(words: tuple[str, ...]) -> None:
     defaults = {"model": "ssm", "training": "default"}
     defaults |= {"synthesis": "auto", "loop": "regulation"}
-    parts = Parts(defaults, words)
+    parts = StudyParts(defaults, words)
     config = compose_configuration([*words, "study=any"])
     theirs = plain_settings(config)
     for name, tree in parts.trees.items():
@@ -72,11 +72,11 @@ NO_SEED = (("seed=-1",), "not a whole number")
 def test_other_words_are_refused(words: tuple[str, ...], message: str) -> None:
     choices = {"model": "ssm"}
     with pytest.raises(BadRequest, match=message):
-        Parts(choices, words)
+        StudyParts(choices, words)
 
 
 def test_a_missing_value_is_named() -> None:
-    parts = Parts({"data": "recorded"})
+    parts = StudyParts({"data": "recorded"})
     with pytest.raises(BadRequest, match=r"data\.path = \?\?\?: is missing"):
         parts.build("data")
 
@@ -85,10 +85,10 @@ VALUES = {"feedthrough": False, "slope_lower": 0.1, "nodes": 3}
 UNQUOTED_WORD = re.compile(r"(?<![\w\"])\w+(?![\w\"])")
 
 
-def parts_with_model(model: str) -> Parts:
+def parts_with_model(model: str) -> StudyParts:
     """The parts of a fit with this model."""
     choices = fitting.CHOICES | {"model": model}
-    return Parts(choices)
+    return StudyParts(choices)
 
 
 def test_the_help_of_fit_names_settings_that_each_model_takes() -> None:
@@ -102,9 +102,9 @@ def test_the_help_of_fit_names_settings_that_each_model_takes() -> None:
             field = "slope_lower" if name == "slopes" else name
             value = VALUES.get(field, 2)
             parts = parts_with_model(model)
-            parts.set_fields("model", **{field: value})
+            parts.change_settings("model", **{field: value})
             parts.build("model")
     parts = parts_with_model("arx")
-    parts.set_fields("model", order=2)
+    parts.change_settings("model", order=2)
     with pytest.raises(BadRequest, match="order"):
         parts.build("model")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ssm_study.api.parts import Parts
+from ssm_study.api.parts import StudyParts
 from ssm_study.models.warm_start import simulate_validation_and_test
 
 SHARED = Path(__file__).parents[3] / "shared"
@@ -43,11 +43,11 @@ ONE_TENTH = {"step_s": 0.1}
 def fit_on_test(name: str, settings: dict[str, object], model: str, *words: str) -> float:
     """Fit on the test record of the file, read with these settings."""
     choices = {"data": "recorded", "model": model, "training": "default"}
-    parts = Parts(choices, words)
+    parts = StudyParts(choices, words)
     columns = {"input": "u", "output": "y"}
     path = str(FOLDER / name)
     fields = columns | settings
-    parts.set_fields("data", path=path, **fields)
+    parts.change_settings("data", path=path, **fields)
     source = parts.build("data")
     data = source.build(0)
     spec = parts.build("model")

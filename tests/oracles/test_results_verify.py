@@ -19,8 +19,8 @@ from ssm_study.engine.records import read_record, write_record
 from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.study.claims import SECTIONS
 from ssm_study.study.file_claims import check_files
-from ssm_study.study.findings import Checked, DerivedColumns, UnconfirmableSettings
-from ssm_study.study.recordings import read_simulation
+from ssm_study.study.findings import CheckedClaim, DerivedColumns, UnconfirmableSettings
+from ssm_study.study.recordings import read_free_runs
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import Verification, _short_text, compare_column, judge_column, verify
 from ssm_study.synthesis.metrics import design_columns
@@ -150,7 +150,9 @@ def named(record: dict[str, Any], derived: dict[str, Any]) -> set[str]:
     names = {*derived, *record}
     judged = [judge_column(name, record, derived, {}) for name in names]
     return {
-        finding.claim for finding in judged if isinstance(finding, Checked) and not finding.holds
+        finding.claim
+        for finding in judged
+        if isinstance(finding, CheckedClaim) and not finding.holds
     }
 
 
@@ -261,7 +263,7 @@ def test_a_part_without_certificate_is_recorded_with_its_reason(
     """The matrices are those of another rate; the reason is the record's, and a claim like any
     other."""
     run = RunFiles(path=smoke_run, record=record)
-    kept = read_simulation(smoke_run / "validation.mcap")
+    kept = read_free_runs(smoke_run / "validation.mcap")
     told = "riccati; not positive definite in exact arithmetic"
     observer = replace(run.design.observer, certified=False, solver_status=told)
     missed = replace(run.design, observer=observer)  # type: ignore[arg-type]
@@ -281,7 +283,7 @@ def test_the_seal_says_what_it_found(copied_run: Path) -> None:
         text = path.read_text()
         path.write_text(text + change)
         seal = next(check_files(RunFiles(path=copied_run, record={})))
-        assert isinstance(seal, Checked)
+        assert isinstance(seal, CheckedClaim)
         assert seal.claim == "files"
         assert seal.holds == holds
         assert seal.found == found

@@ -53,7 +53,7 @@ from ssm_study.plants.wrapper import PlantWrapper
 from ssm_study.refusal import BadRequest
 from ssm_study.study.claims import check_loops as section_loop
 from ssm_study.study.claims import check_records as section_data
-from ssm_study.study.findings import Checked, NotChecked
+from ssm_study.study.findings import CheckedClaim, UncheckedValues
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import compare_column, judge_column, verify
 from ssm_study.table.gather import MARKS, gather
@@ -194,7 +194,7 @@ def test_without_its_log_a_run_claims_no_prediction() -> None:
             raise BadRequest("data.path", "log.csv", "no such file", "check the spelling")
 
     (found,) = section_data(Elsewhere())  # type: ignore[arg-type]
-    assert isinstance(found, NotChecked)
+    assert isinstance(found, UncheckedValues)
     told = {"predicted_stable": True}
     assert "cannot be read" in judge_column("predicted_stable", told, told, found.reasons)  # type: ignore[operator]
     checked = compare_column("predicted_stable", True, True)
@@ -248,11 +248,11 @@ def test_of_a_device_the_loop_on_the_model_is_made_again(copied_run: Path) -> No
         plant = Rig(plant=rig_plant)
         vars(run)["specification"] = replace(run.specification, plant=plant)
         told = list(section_loop(run))
-        wrong = {one.claim for one in told if isinstance(one, Checked) and not one.holds}
+        wrong = {one.claim for one in told if isinstance(one, CheckedClaim) and not one.holds}
         return wrong, {
             name: why
             for one in told
-            if isinstance(one, NotChecked)
+            if isinstance(one, UncheckedValues)
             for name, why in one.reasons.items()
         }
 

@@ -12,7 +12,7 @@ import pytest
 import ssm_study as st
 from ssm_study.api.fitting import convert_to_seconds
 from ssm_study.api.linearisation import import_python_control
-from ssm_study.api.parts import format_value
+from ssm_study.api.parts import format_setting_value
 from ssm_study.cli.main import WRONG_REQUEST, main
 from ssm_study.data.arrays import index_period_s
 from ssm_study.data.plain_names import plain_name
@@ -107,7 +107,7 @@ def test_texts_from_python_arrive_as_they_are() -> None:
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
     parser = OverridesParser.create()
-    override = parser.parse_override(f"key={format_value(TEXTS)}")
+    override = parser.parse_override(f"key={format_setting_value(TEXTS)}")
     assert override.value() == TEXTS
 
 

@@ -11,7 +11,7 @@ import yaml  # type: ignore[import-untyped]
 from ssm_study.engine.settings import yaml_text
 from ssm_study.refusal import BadRequest
 from ssm_study.stored_yaml import read_stored_yaml
-from ssm_study.study.findings import Checked
+from ssm_study.study.findings import CheckedClaim
 from ssm_study.study.verify import UNGIVEN, finding_lines
 
 FIRST_ALIAS = "a0: &a0 [x,x,x,x,x,x,x,x,x,x]"
@@ -90,13 +90,13 @@ def test_reproduce_answers_at_once(tmp_path: Path) -> None:
 def test_one_cause_is_one_line() -> None:
     """One unreadable file was told seven times, and eighty columns after it."""
     cause = "cannot be derived: the file is damaged"
-    checked = Checked(claim="files", holds=True, found="as written")
+    checked = CheckedClaim(claim="files", holds=True, found="as written")
     underived = f"yet {UNGIVEN}"
-    data = Checked(claim="data", holds=False, found=cause)
-    order = Checked(claim="order", holds=False, found=f"stored 4, {underived}")
-    model = Checked(claim="model", holds=False, found=cause)
-    seed = Checked(claim="seed", holds=False, found=f"stored 0, {underived}")
-    run = Checked(claim="run", holds=False, found="derived a, stored b")
+    data = CheckedClaim(claim="data", holds=False, found=cause)
+    order = CheckedClaim(claim="order", holds=False, found=f"stored 4, {underived}")
+    model = CheckedClaim(claim="model", holds=False, found=cause)
+    seed = CheckedClaim(claim="seed", holds=False, found=f"stored 0, {underived}")
+    run = CheckedClaim(claim="run", holds=False, found="derived a, stored b")
     findings = [checked, data, order, model, seed, run]
     expected = [
         "holds  files: as written",

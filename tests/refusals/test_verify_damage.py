@@ -12,7 +12,7 @@ from verify_lies import edited
 from ssm_study.durable import file_lock
 from ssm_study.engine.records import LOCK, write_record
 from ssm_study.refusal import BadRequest
-from ssm_study.study.findings import Checked
+from ssm_study.study.findings import CheckedClaim
 from ssm_study.study.verify import finding_lines, verify
 
 pytestmark = pytest.mark.usefixtures("made_once")
@@ -139,10 +139,10 @@ def test_a_wrong_shape_or_word_is_told_in_a_sentence_of_ours(what: str, copied_r
 
 
 def test_failures_of_one_cause_stand_in_one_line() -> None:
-    first = Checked(claim="a", holds=False, found="gone")
-    held = Checked(claim="b", holds=True, found="gone")
-    again = Checked(claim="c", holds=False, found="gone")
-    other = Checked(claim="d", holds=False, found="wrong")
+    first = CheckedClaim(claim="a", holds=False, found="gone")
+    held = CheckedClaim(claim="b", holds=True, found="gone")
+    again = CheckedClaim(claim="c", holds=False, found="gone")
+    other = CheckedClaim(claim="d", holds=False, found="wrong")
     lines = finding_lines([first, held, again, other])
     together = replace(first, claim="a, c")
     assert lines == [str(together), str(held), str(other)]

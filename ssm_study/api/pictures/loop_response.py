@@ -146,7 +146,7 @@ def _step_picture(
     if time_s is not None:
         ending = f"settles in {time_s:.3g} s"
         if ahead:
-            since_motion_s = time_s + at_s - _first_output_motion_s(run)
+            since_motion_s = time_s + at_s - _first_output_change_s(run)
             ending += f", {since_motion_s:.2g} s after the output first moves"
     unit = f" {plant.outputs[0].unit}" if plant.outputs[0].unit else ""
     known = ", known in advance," if ahead else ""
@@ -198,7 +198,7 @@ def _first_input_change_s(run: Rollouts) -> float:
     return float(run.time_s[first_moved])
 
 
-def _first_output_motion_s(run: Rollouts) -> float:
+def _first_output_change_s(run: Rollouts) -> float:
     """Time in seconds at which the output has covered a small fraction of its total change."""
     motion = run.y[0] - run.y[0, :1]
     away = np.abs(motion).max(axis=1)

@@ -43,19 +43,21 @@ def draw(study: StudyFolder) -> Figure:
         gain = 1.0
     else:
         reach = REACH_IN_DEAD_ZONES * threshold
-        gain = _scale_to_dead_zone(model, threshold)
-    voltage = _voltage_range(model, reach)
+        gain = _dead_zone_scale_factor(model, threshold)
+    voltage = _drawn_voltages(model, reach)
     learned = gain * _input_map_values(model, voltage)
     value.plot(voltage, learned, color=style.BLUE, label="learned S$_u$", zorder=3)
     _draw_slopes(slope, model, voltage, record)
     if threshold is not None:
-        value.plot(voltage, _dead_zone(voltage, threshold), label="true dead-zone", **TRUE_LINE)
+        value.plot(
+            voltage, _apply_dead_zone(voltage, threshold), label="true dead-zone", **TRUE_LINE
+        )
         true_slope = np.where(np.abs(voltage) < threshold, 0.0, scale / gain)
         slope.step(voltage, true_slope, where="mid", label="dead-zone", **TRUE_LINE)
         sentence = _dead_zone_sentence(model, voltage, threshold)
         fig.suptitle(sentence, size=8, x=0.01, ha="left")
         if friction_v:
-            widened = _dead_zone(voltage, threshold + friction_v)
+            widened = _apply_dead_zone(voltage, threshold + friction_v)
             value.plot(voltage, widened, color=style.GREY, lw=0.9, ls=":", label="with friction")
     _label_axes(value, slope, threshold is not None)
     return fig
@@ -87,7 +89,7 @@ def known_dead_zone(config: Mapping[str, Any]) -> tuple[float | None, float]:
     return plant.get("dead_zone_v"), friction_v
 
 
-def _voltage_range(model: SSM, half_width: float) -> Range:
+def _drawn_voltages(model: SSM, half_width: float) -> Range:
     """Input voltages around the equilibrium at which the learned input map is drawn."""
     deviations = np.linspace(-half_width, half_width, POINTS)
     return model.scale.input_equilibrium[0] + deviations
@@ -116,17 +118,17 @@ def _dead_zone_sentence(model: SSM, voltage: Range, threshold: float) -> str:
     return f"Learned: {learned}. Inside the true one the slope is {percent} of that outside."
 
 
-def _scale_to_dead_zone(model: SSM, threshold: float) -> float:
+def _dead_zone_scale_factor(model: SSM, threshold: float) -> float:
     """Least-squares factor that fits a learned input map to the dead zone. S_u is determined only
     up to a factor, which B compensates."""
     scale = float(model.scale.input_scale[0])
-    voltage = _voltage_range(model, REACH_IN_SCALES * scale)
+    voltage = _drawn_voltages(model, REACH_IN_SCALES * scale)
     learned = _input_map_values(model, voltage)
-    true = _dead_zone(voltage, threshold)
+    true = _apply_dead_zone(voltage, threshold)
     return float(true @ learned / (learned @ learned))
 
 
-def _dead_zone(voltage: Range, threshold: float) -> Range:
+def _apply_dead_zone(voltage: Range, threshold: float) -> Range:
     """True dead-zone characteristic of the motor: zero inside, the voltage minus the threshold
     outside."""
     beyond = np.maximum(np.abs(voltage) - threshold, 0.0)

@@ -35,18 +35,18 @@ def draw(study: StudyFolder) -> Figure:
     draw_error(error, test)
     draw_free_run(other_run, validation, "validation", record.get("fit_validation_percent"))
     time_s = validation.time_s("measured")[:LONGEST]
-    u = first_channel_beginning(validation, "input")
+    u = first_channel_samples(validation, "input")
     applied.step(time_s, u, where="post", color=style.INK, lw=0.7)
     label_axes(applied, time_s, validation.label("input"))
     if has_disturbance:
-        measured = first_channel_beginning(validation, "disturbance")
+        measured = first_channel_samples(validation, "disturbance")
         panels[4].plot(time_s, measured, color=style.GREEN, lw=0.7)
         label_axes(panels[4], time_s, validation.label("disturbance"))
     fig.align_ylabels()
     return fig
 
 
-def first_channel_beginning(part: RecordedCases, name: str) -> Stretch:
+def first_channel_samples(part: RecordedCases, name: str) -> Stretch:
     """Values at the beginning of the first channel of a recorded signal."""
     signal: Stretch = part[name][0, :LONGEST, 0]
     return signal
@@ -62,9 +62,9 @@ def draw_free_run(axes: Axes, part: RecordedCases, name: str, fit: float | None)
     """Draw the measured output as dots, with the model's free-run simulation on top."""
     time_s = part.time_s("measured")[:LONGEST]
     label = "model" if fit is None else f"model (fit {fit:.1f} % on the whole record)"
-    measured = first_channel_beginning(part, "measured")
+    measured = first_channel_samples(part, "measured")
     axes.plot(time_s, measured, ".", ms=1.5, color=style.GREY, label=f"{name} record")
-    simulated = first_channel_beginning(part, "simulated")
+    simulated = first_channel_samples(part, "simulated")
     axes.plot(time_s, simulated, color=style.BLUE, lw=1.0, label=label)
     style.place_legend_above(axes, columns=2)
     label_axes(axes, time_s, part.label("measured"))
@@ -73,7 +73,7 @@ def draw_free_run(axes: Axes, part: RecordedCases, name: str, fit: float | None)
 def draw_error(axes: Axes, part: RecordedCases) -> None:
     """Draw the measured output minus the simulated output, in the output's unit."""
     time_s = part.time_s("measured")[:LONGEST]
-    error = first_channel_beginning(part, "measured") - first_channel_beginning(part, "simulated")
+    error = first_channel_samples(part, "measured") - first_channel_samples(part, "simulated")
     axes.axhline(0, color=style.PALE)
     axes.plot(time_s, error, color=style.VERMILLION, lw=0.7)
     unit = part.unit("measured")

@@ -24,7 +24,7 @@ DESIGNS = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class ComparedTable:
+class ControllerTable:
     """Printed table of compared controllers: its caption, headings, and cells with or without a
     background."""
 
@@ -41,7 +41,7 @@ def comparison_json(rows: pd.DataFrame) -> Spec:
     return {"chart": designs_chart(rows)}
 
 
-def controllers_table(rows: pd.DataFrame) -> ComparedTable:
+def controllers_table(rows: pd.DataFrame) -> ControllerTable:
     """Printed table that compares controllers, with one row for each. Its columns are the numbers
     of a single situation, or all situations."""
     situations = list(dict.fromkeys(rows["situation"]))
@@ -50,16 +50,16 @@ def controllers_table(rows: pd.DataFrame) -> ComparedTable:
     return conditions_table(rows, situations)
 
 
-def single_condition_table(rows: pd.DataFrame) -> ComparedTable:
+def single_condition_table(rows: pd.DataFrame) -> ControllerTable:
     """Printed table with the results of each controller under a single test condition."""
     cells = []
     for name, own in rows.groupby("controller", sort=False):
         first = own.iloc[0]
         cells.append((choice_label(name), single_condition_cells(first)))
-    return ComparedTable(caption=OF_ONE_SITUATION, heads=HEADS, rows=cells)
+    return ControllerTable(caption=OF_ONE_SITUATION, heads=HEADS, rows=cells)
 
 
-def conditions_table(rows: pd.DataFrame, situations: list[str]) -> ComparedTable:
+def conditions_table(rows: pd.DataFrame, situations: list[str]) -> ControllerTable:
     """Printed table with one column for each test condition: fraction of settled loops and mean
     settling time."""
     tried: dict[tuple[str, str], dict[str, Any]] = {}
@@ -72,7 +72,7 @@ def conditions_table(rows: pd.DataFrame, situations: list[str]) -> ComparedTable
         own = [tried.get((name, situation), {}) for situation in situations]
         cells.append((choice_label(name), list(map(settled_cell, own))))
     heads = tuple(map(choice_label, situations))
-    return ComparedTable(caption=OF_SITUATIONS, heads=heads, rows=cells)
+    return ControllerTable(caption=OF_SITUATIONS, heads=heads, rows=cells)
 
 
 def single_condition_cells(row: "pd.Series[Any]") -> list[tuple[str, str]]:
@@ -108,7 +108,7 @@ def format_number(value: Any) -> str:
     return MISSING if pd.isna(value) else f"{value:.4g}"
 
 
-def table_html(table: ComparedTable) -> str:
+def table_html(table: ControllerTable) -> str:
     """HTML of a table of compared controllers. All texts are escaped."""
     caption = escape(table.caption)
     heads = "".join(f'<th scope="col">{escape(head)}</th>' for head in table.heads)

@@ -22,7 +22,7 @@ from ssm_study.report.page.first_screen import (
     plain_setting_name,
     requested_setting_text,
     row_as_record,
-    settings_line,
+    varied_settings_sentence,
 )
 from ssm_study.report.page.pictures import pictures_of_run
 from ssm_study.report.page.proof_card import RecordedLoopFacts
@@ -204,7 +204,7 @@ def page_texts(
     if len(table):
         first = row_as_record(table.iloc[0])
         parts["introduction"] = best_run_rule(table)
-        parts["settings"] = settings_line(table)
+        parts["settings"] = varied_settings_sentence(table)
         parts["runner_up"] = choose_robust_alternative(table)
         parts["cards"] = outcome_cards(
             first, read_loop_facts(study, first), noise_free_test=is_test_noise_free(study)
@@ -242,7 +242,7 @@ def plants_and_data_text(table: pd.DataFrame) -> str:
 
 def page_title(table: pd.DataFrame) -> str:
     """Title of the report page as a question, such as `What changes with the model order?`."""
-    varied = [setting_text_in_sentence(name) for name in swept_settings(table)]
+    varied = [setting_name_in_sentence(name) for name in swept_settings(table)]
     if len(varied) > 1 and varied[-1] == "the seed":  # what the mean is taken over
         varied = varied[:-1]
     words = varied[-1] if varied else ""
@@ -251,7 +251,7 @@ def page_title(table: pd.DataFrame) -> str:
     return f"What changes with {words}?"
 
 
-def setting_text_in_sentence(name: str) -> str:
+def setting_name_in_sentence(name: str) -> str:
     """Printed name of a swept setting for use in a sentence, without its unit."""
     without_unit = printed_column_name(name).partition(" (")[0]
     word = without_unit.partition(",")[0].lower()

@@ -86,11 +86,11 @@ def merge_number_ranges(sentences: Sequence[str]) -> str:
     texts = [list(map(shorten_number, NUMBER.findall(sentence))) for sentence in sentences]
     columns = iter(zip(*texts, strict=True))
 
-    def range_of_numbers(_: re.Match[str]) -> str:
+    def number_range_text(_: re.Match[str]) -> str:
         """Text of the range of a number over failure messages that differ only in their numbers."""
         column = next(columns)
         low = min(column, key=float)
         high = max(column, key=float)
         return low if float(low) == float(high) else f"{low} to {high}"
 
-    return NUMBER.sub(range_of_numbers, sentences[0])
+    return NUMBER.sub(number_range_text, sentences[0])

@@ -68,7 +68,7 @@ def best_run_rule(table: pd.DataFrame) -> str:
     return f"Best run (the fastest of those that are certified{stable} and settle): "
 
 
-def settings_line(table: pd.DataFrame) -> str:
+def varied_settings_sentence(table: pd.DataFrame) -> str:
     """Sentence on the settings of the best run that differ between the runs of a study; empty if
     none do."""
     record = row_as_record(table.iloc[0])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.api.summaries import round_rate_down
+from ssm_study.api.summaries import rate_text
 from ssm_study.certificates.decay_time import decay_time_text
 from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.report.outcome import fresh_error_ratio_text, refit_text, unused_data_exceed_coverage
@@ -73,7 +73,7 @@ def certified_rates_card(record: Record, loop: RecordedLoopFacts | None = None) 
         headline = f"certified rate per sample{time_constant_text(rate, loop)}"
         return Card(
             title=TITLE,
-            number=round_rate_down(rate),
+            number=rate_text(rate),
             text=f"{headline}{input_limit_text(record, loop)}",
             lines=tuple(filter(None, lines)),
             not_covered=tuple(unproved_statements(record, loop)),
@@ -92,7 +92,7 @@ def rate_line(record: Record, rate: float, loop: RecordedLoopFacts | None) -> st
     observer = record.get("observer_certified_rate")
     also = ""
     if observer is not None:
-        also = f"; observer: rate {round_rate_down(observer)}{time_constant_text(observer, loop)}"
+        also = f"; observer: rate {rate_text(observer)}{time_constant_text(observer, loop)}"
     shrinking = f"distances shrink by {shrinks:.2g} % or more a sample{step}"
     return f"Under control, {shrinking}, their squares by the rate{also}"
 
@@ -171,7 +171,7 @@ def limited_input_rate_text(record: Record, loop: RecordedLoopFacts | None) -> s
     rate = record.get("limited_rate")
     if rate is None:
         return "no rate is proved"
-    words = f"the rate {round_rate_down(rate)}{time_constant_text(rate, loop)}"
+    words = f"the rate {rate_text(rate)}{time_constant_text(rate, loop)}"
     is_no_gain = rate <= (open_loop_rate(record) or 0.0)
     return f"{words} (no more than without control)" if is_no_gain else words
 

@@ -6,10 +6,10 @@ from ssm_study.engine.stages import Facts, Stage
 from ssm_study.models.warm_start import simulate_validation_and_test
 from ssm_study.signals import DataSet
 from ssm_study.study.stages.free_run import SIMULATED, ModelRun, compute_free_runs, free_run_columns
-from ssm_study.study.stages.model import Trained
+from ssm_study.study.stages.model import TrainedModel
 
 
-def certified_model_columns(model_run: ModelRun, data: DataSet, trained: Trained) -> Facts:
+def certified_model_columns(model_run: ModelRun, data: DataSet, trained: TrainedModel) -> Facts:
     """Table columns that describe a certified model: its fits, linear part and slopes."""
     facts = free_run_columns(model_run, data, trained)
     _, test_before_reduction = simulate_validation_and_test(trained.model, data)

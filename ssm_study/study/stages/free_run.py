@@ -9,9 +9,9 @@ from ssm_study.engine.stages import Facts, Stage
 from ssm_study.models.metrics import Simulation, fit_columns
 from ssm_study.models.warm_start import initial_state_columns, simulate_validation_and_test
 from ssm_study.signals import DataSet
-from ssm_study.study.recordings import read_simulation, states_to_text, write_records
+from ssm_study.study.recordings import read_free_runs, states_to_text, write_records
 from ssm_study.study.stages.files import write_json
-from ssm_study.study.stages.model import Trained, read_model
+from ssm_study.study.stages.model import TrainedModel, read_model
 from ssm_study.training.metrics import records_fit_percent
 
 if TYPE_CHECKING:
@@ -35,16 +35,16 @@ class ModelRun:
     @cached_property
     def validation(self) -> Simulation:
         """Free run of the model on the validation records, with the measured outputs."""
-        return read_simulation(self.folder / "validation.mcap")
+        return read_free_runs(self.folder / "validation.mcap")
 
     @cached_property
     def test(self) -> Simulation:
         """Free run of the model on the test records, with the measured outputs."""
-        return read_simulation(self.folder / "test.mcap")
+        return read_free_runs(self.folder / "test.mcap")
 
 
 def compute_free_runs(
-    folder: Path, data: DataSet, trained: Trained, *, reduction: "Reduction | None" = None
+    folder: Path, data: DataSet, trained: TrainedModel, *, reduction: "Reduction | None" = None
 ) -> None:
     """Simulate the identified model on the validation and test records, and write both free runs.
 
@@ -62,7 +62,7 @@ def compute_free_runs(
         write_records(path, data, run.records, simulated=run.simulated, **about)
 
 
-def free_run_columns(model_run: ModelRun, data: DataSet, _: Trained) -> Facts:
+def free_run_columns(model_run: ModelRun, data: DataSet, _: TrainedModel) -> Facts:
     """Table columns on the free runs of a model: fits in percent, errors in the output's unit, and
     a benchmark's score."""
     scores = benchmark_rmse(data, model_run.test.simulated) if "benchmark" in data.metadata else ()

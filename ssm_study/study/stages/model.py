@@ -22,7 +22,7 @@ MEMBERS = "members.json"
 
 
 @dataclass(frozen=True)
-class Trained:
+class TrainedModel:
     """Identified model, with the duration of its training in seconds and the reason why the
     training ended. `members` are the models whose mean predicts, empty for one model."""
 
@@ -64,14 +64,14 @@ def compute_model(
         write_json(folder / "choice.json", list(identified.choice))
 
 
-def read_trained_model(folder: Path) -> Trained:
+def read_trained_model(folder: Path) -> TrainedModel:
     """Read the identified model, with the duration of its training and the reason why the training
     ended."""
     facts = read_json(folder / "training.json")
-    return Trained(read_model(folder), members=read_averaged_models(folder), **facts)
+    return TrainedModel(read_model(folder), members=read_averaged_models(folder), **facts)
 
 
-def training_result_columns(trained: Trained, data: DataSet) -> Facts:
+def training_result_columns(trained: TrainedModel, data: DataSet) -> Facts:
     """Table columns on a model's training: duration, reason for the end, model size, chosen
     settings, and the fit of a baseline."""
     facts = training_columns(trained.seconds, trained.ended) | model_size_columns(trained.model)
