@@ -74,7 +74,7 @@ def summarise_model(model: "Model") -> pd.Series:
             lines["mean that predicts"] = f"{facts['members']} models, {fit_words}"
     if model.identification.chosen:
         chosen_settings = model.identification.chosen
-        lines["chosen by the records"] = chosen_settings_text(chosen_settings)
+        lines["chosen by the records"] = choice_summary(chosen_settings)
     if isinstance(model.simulator, SSM | StructuredSSM):
         lines |= summarise_state_space(model, model.simulator)
     return pd.Series(lines, name="model", dtype=object)
@@ -102,7 +102,7 @@ def summarise_state_space(model: "Model", simulator: SSM | StructuredSSM) -> dic
     return lines
 
 
-def chosen_settings_text(chosen: str) -> str:
+def choice_summary(chosen: str) -> str:
     """Text on the settings of a model that were chosen from the records."""
     for value, answer in (("none", "no"), ("free", "yes")):
         chosen = chosen.replace(f"input path {value}", f"input drives the neurons {answer}")

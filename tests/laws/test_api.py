@@ -20,12 +20,7 @@ import ssm_study as st
 from ssm_study.api import parts
 from ssm_study.api.design import Design
 from ssm_study.api.model import Model
-from ssm_study.api.summaries import (
-    chosen_settings_text,
-    chosen_sizes,
-    size_text,
-    summarise_prediction,
-)
+from ssm_study.api.summaries import choice_summary, chosen_sizes, size_text, summarise_prediction
 from ssm_study.cli.main import main
 from ssm_study.refusal import BadRequest
 from ssm_study.study.verify import verify
@@ -400,6 +395,4 @@ def test_the_summary_counts_states_and_neurons_as_the_choice_does() -> None:
     assert size_text(5, 5) == 5
     assert size_text(5, None) == 5
     assert size_text(4, 5) == "4 (of the 5 chosen, the others were not needed)"
-    assert (
-        chosen_settings_text("order 3, input path none") == "order 3, input drives the neurons no"
-    )
+    assert choice_summary("order 3, input path none") == "order 3, input drives the neurons no"
