@@ -81,7 +81,7 @@ def import_target(target: str) -> Any:
 
 
 @cache
-def constructor_fields(kind: type) -> tuple[dict[str, Any], tuple[str, ...]]:
+def constructor_parameters(kind: type) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Types of the parameters of a class's constructor by name, and the parameter names in
     order."""
     hints = get_type_hints(kind.__init__)  # type: ignore[misc] # of a class
@@ -91,7 +91,7 @@ def constructor_fields(kind: type) -> tuple[dict[str, Any], tuple[str, ...]]:
 def _check_argument(path: str, kind: type, key: str, value: Any) -> Any:
     """Check a setting against the type of the constructor parameter that it is for, and return the
     value to pass."""
-    hints, names = constructor_fields(kind)
+    hints, names = constructor_parameters(kind)
     field = f"{path}.{key}"
     remedy = f"its fields are {', '.join(names)}"
     require(key in names, field, value, f"{kind.__name__} has no such field", remedy)

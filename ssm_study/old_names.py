@@ -240,6 +240,7 @@ METHODS: Mapping[str, Mapping[str, str]] = {
         "best": "best_run",
         "comparison": "controller_comparison",
         "of_best": "read_from_best",
+        "run": "run_folder",
     },
     "robustness.prediction.Prediction": {"keeps_the_plant": "predicts_stability"},
     "engine.runs.Run": {"note": "add_columns"},

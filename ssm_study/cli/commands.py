@@ -100,7 +100,7 @@ def excitation_settings(options: argparse.Namespace) -> dict[str, Any]:
         from ssm_study.table.folders import find_run_folder
 
         run = RunFiles(path=find_run_folder(options.after), record={})
-        settings |= run.excitation
+        settings |= run.next_excitation_settings
         settings["sines"] = run.sine_frequencies
     given_options = {name: value for name, value in vars(options).items() if value is not None}
     return settings | given_options
@@ -108,12 +108,12 @@ def excitation_settings(options: argparse.Namespace) -> dict[str, Any]:
 
 def gather_study(options: argparse.Namespace) -> None:
     """Build the table of a study again from the records of its runs."""
-    from ssm_study.table.doubts import row_count_doubts
+    from ssm_study.table.doubts import row_count_warnings
     from ssm_study.table.gather import gather
 
     table = gather(options.study, anew=True)
     print(f"{len(table)} runs in {options.study / 'runs.parquet'}")
-    for line in row_count_doubts(options.study, table):
+    for line in row_count_warnings(options.study, table):
         print(line)
 
 

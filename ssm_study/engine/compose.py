@@ -310,11 +310,11 @@ class Composer:
         if word not in self.parsed:
             override = self.parser.parse_override(word)
             refuse_nonfinite_settings({str(override.key_or_group): override.value()})
-            self.parsed[word] = override, is_plain_value(override, self.loader.repository)
+            self.parsed[word] = override, sets_plain_value(override, self.loader.repository)
         return self.parsed[word]
 
 
-def is_plain_value(override: Override, repository: IConfigRepository) -> bool:
+def sets_plain_value(override: Override, repository: IConfigRepository) -> bool:
     """Whether a command-line override only sets a plain value, such as `a.b=1`. Such an override
     chooses no group, adds, deletes, interpolates and instantiates nothing, and changes nothing of
     Hydra's own."""

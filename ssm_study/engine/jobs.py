@@ -20,7 +20,7 @@ from omegaconf import open_dict, read_write
 from ssm_study.durable import PATIENCE_S, file_lock
 from ssm_study.engine.compose import Composer, set_hydra_config
 from ssm_study.engine.records import FAILED, FINAL, LOCK, LOST, read_record
-from ssm_study.engine.runs import Outcome, error_columns, existing_outcome, write_failure
+from ssm_study.engine.runs import Outcome, existing_outcome, failure_columns, write_failure
 from ssm_study.engine.server import SERVER_DIED, UNBORN, JobProcess, kill_with_children
 from ssm_study.engine.settings import Settings
 from ssm_study.engine.task import Task, run_folder
@@ -114,7 +114,7 @@ def run_job(job: Job, composer: Composer, task: Task[Any], hydra_context: HydraC
         ended.status = JobStatus.FAILED
         text = "".join(traceback.format_exception(error))
         print(text, file=sys.stderr)
-        record_death(job.folder, error_columns(error, job.folder), text, os.getpid())
+        record_death(job.folder, failure_columns(error, job.folder), text, os.getpid())
     hydra_context.callbacks.on_job_end(config=config, job_return=ended)
     if ended.status is JobStatus.FAILED:
         sys.exit(1)

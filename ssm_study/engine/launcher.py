@@ -35,7 +35,7 @@ from ssm_study.refusal import require
 
 
 @runtime_checkable
-class Sweep(Protocol):
+class SweepContext(Protocol):
     """Objects that Hydra gives to a launcher when a sweep begins, such as configuration and
     task."""
 
@@ -50,13 +50,13 @@ class Launcher(ABC):
     parallel_jobs: int
 
     @abstractmethod
-    def run(self, sweep: Sweep, jobs: list[Job], composer: Composer) -> None:
+    def run(self, sweep: SweepContext, jobs: list[Job], composer: Composer) -> None:
         """Run the unfinished jobs of a sweep and note the outcome of each. Afterwards each job has
         its `outcome`, even if its process failed."""
 
 
 def launch_sweep(
-    launcher: Launcher, sweep: Sweep, overrides: Sequence[list[str]], first_number: int
+    launcher: Launcher, sweep: SweepContext, overrides: Sequence[list[str]], first_number: int
 ) -> list[JobReturn]:
     """Compose the configurations of a sweep, check the unfinished jobs, then run these jobs or only
     plan them. Returns one `JobReturn` for each."""
@@ -131,7 +131,7 @@ class Processes(Launcher):
             return self.n_jobs
         return max(1, len(os.sched_getaffinity(0)) // self.threads)
 
-    def run(self, sweep: Sweep, jobs: list[Job], composer: Composer) -> None:
+    def run(self, sweep: SweepContext, jobs: list[Job], composer: Composer) -> None:
         """Fork a process for each unfinished job, a few at a time, and wait until all have
         ended."""
         to_do = [job for job in jobs if job.outcome is None]

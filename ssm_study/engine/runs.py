@@ -99,7 +99,7 @@ def execute_run(
             return Outcome(folder=folder, status=RUNNING, did="elsewhere", message=message)
         # Under the lock: another process may have done the run in the meantime.
         before = record_with_status(folder, holds_lock=True)
-        if not needs_run(before, retry_failed):
+        if not needs_execution(before, retry_failed):
             return existing_outcome(folder, before)
         _archive_attempt(folder, before)
         for name, text in (configuration or {}).items():
@@ -137,7 +137,7 @@ def record_with_status(folder: Path, holds_lock: bool = False) -> dict[str, Any]
     return record
 
 
-def needs_run(earlier_record: Mapping[str, Any] | None, retry_failed: bool) -> bool:
+def needs_execution(earlier_record: Mapping[str, Any] | None, retry_failed: bool) -> bool:
     """Whether a run has to be executed, given the record of an earlier execution. Finished runs
     need not; failed ones only with `retry_failed`, or if the machine was at fault (disk,
     signal)."""
@@ -180,7 +180,7 @@ def _execute_work(
     except (Exception, SystemExit) as error:
         if _is_scheduler_stop(error):
             raise
-        death = error_columns(error, folder)
+        death = failure_columns(error, folder)
         if run.lacks_stored_stage():  # its reader may say so in any words
             death["failure_transient"] = True
         write_failure(folder, opening_columns | run.facts, death, text=traceback.format_exc())
@@ -203,7 +203,7 @@ def write_run_manifest(folder: Path) -> None:
     write_manifest(folder, {"run": folder.name}, leave_out=changing)
 
 
-def error_columns(error: BaseException, folder: Path) -> dict[str, Any]:
+def failure_columns(error: BaseException, folder: Path) -> dict[str, Any]:
     """Columns of a record that describe a failure: type, message, and whether a retry may succeed.
     A transient failure (disk or memory of the machine) is retried by the same command."""
     text = str(error) or type(error).__name__

@@ -13,8 +13,8 @@ from submitit.core.utils import UncompletedJobError
 
 from ssm_study.engine.compose import Composer
 from ssm_study.engine.jobs import Job, record_death
-from ssm_study.engine.launcher import Launcher, Sweep
-from ssm_study.engine.runs import Outcome, error_columns
+from ssm_study.engine.launcher import Launcher, SweepContext
+from ssm_study.engine.runs import Outcome, failure_columns
 
 # What submitit's executor knows for every scheduler; all else is Slurm's own.
 AUTO = frozenset(
@@ -36,7 +36,7 @@ class Slurm(Launcher):
         """Number of jobs of a sweep that Slurm may run at the same time."""
         return int(self.launcher.params["array_parallelism"])
 
-    def run(self, sweep: Sweep, jobs: list[Job], composer: Composer) -> None:  # noqa: ARG002
+    def run(self, sweep: SweepContext, jobs: list[Job], composer: Composer) -> None:  # noqa: ARG002
         """Submit every unfinished job of a sweep to Slurm and wait for all of them."""
         to_do = [job for job in jobs if job.outcome is None]
         Path(str(sweep.config.hydra.sweep.dir)).mkdir(parents=True, exist_ok=True)
@@ -80,7 +80,7 @@ def wait_for_outcome(job: Job, submitted: submitit.Job, patience_s: float = FORG
     except UncompletedJobError as error:
         problem = str(error)
     except Exception as error:  # the job's own, from its node: the others are waited for
-        death = error_columns(error, job.folder)
+        death = failure_columns(error, job.folder)
         return record_death(job.folder, death, "".join(format_exception(error)))
     message = f"Slurm ended job {submitted.job_id}: {state.lower().replace('_', ' ')}"
     death = {

@@ -20,7 +20,7 @@ from ssm_study.engine.runs import (
     Run,
     execute_run,
     existing_outcome,
-    needs_run,
+    needs_execution,
     record_with_status,
 )
 from ssm_study.engine.settings import Settings, digest_of_value, plain_settings, yaml_text
@@ -164,7 +164,7 @@ class Task(ABC, Generic[R]):
         settings = self.settings(config)
         folder = run_folder(settings)
         before = record_with_status(folder)
-        if needs_run(before, bool(settings.get("retry_failed"))):
+        if needs_execution(before, bool(settings.get("retry_failed"))):
             return None
         outcome = existing_outcome(folder, before)
         files = self.input_files(settings) if outcome.did == "found" else []

@@ -195,14 +195,14 @@ class StudyFolder:
     def controller_comparison(self) -> pd.DataFrame:
         """Table of compared controllers over all runs of a study."""
         found = {
-            name: self.run(name).controller_comparison
+            name: self.run_folder(name).controller_comparison
             for name in text_column(self.table, "run")
             if name
         }
         tables = [table.assign(run=name) for name, table in found.items() if table is not None]
         return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
-    def run(self, name: str) -> RunFolder:
+    def run_folder(self, name: str) -> RunFolder:
         """Result folder of a single run, found in the study by the name of the run."""
         return RunFolder(path=self.folder / name)
 
@@ -215,7 +215,11 @@ class StudyFolder:
             else [name for name in text_column(sort_best_first(self.table), "run") if name]
         )
         return next(
-            (self.run(name) for name in names if (self.folder / name / "model.json").is_file()),
+            (
+                self.run_folder(name)
+                for name in names
+                if (self.folder / name / "model.json").is_file()
+            ),
             None,
         )
 

@@ -170,7 +170,8 @@ VERDICTS = (SETTLED, NO_FASTER, LOST, UNTRIED, *BY_CLASS[3:])
 
 
 def verdict_per_run(table: pd.DataFrame) -> pd.Series:
-    """Verdict on every run in a results table: the word for its outcome class.
+    """Verdict (word, sentence, colour and marker) on every run in a results table, by the outcome
+    class of the run.
 
     A run that is certified but has no simulated closed loop has a word of its own."""
     classes = outcome_class(table)

@@ -36,7 +36,7 @@ from ssm_study.study.findings import (
     UncheckedValues,
     UnconfirmableSettings,
     check_agreement,
-    check_entries,
+    check_unknown_entries,
 )
 from ssm_study.study.line import STUDY, undeclared_number_columns
 from ssm_study.study.loop_recordings import (
@@ -223,7 +223,7 @@ def check_model(run: RunFiles) -> Claims:
             "model.json step_s", {"step_s": steps}, ONE_FORMULA, "that of the records"
         )
         yield UncheckedValues(unverifiable_numbers(run))
-    yield check_entries(run, "model.json", run.model)
+    yield check_unknown_entries(run, "model.json", run.model)
 
 
 def check_fits(run: RunFiles) -> Claims:
@@ -246,7 +246,7 @@ def check_loops(run: RunFiles) -> Claims:
     """Check that a new simulation reproduces a run's recorded closed loops and the values computed
     from them."""
     yield from check_loop_files(run)
-    if not run.closes_loop:
+    if not run.can_close_loop:
         return
     controller = ObserverFeedback.from_design(run.model, run.design)
     stored, loop_on = read_loop_recordings(run.path)
@@ -288,7 +288,7 @@ def check_textbook_pi(run: RunFiles) -> Claims:
 def check_loop_files(run: RunFiles) -> Iterator[CheckedClaim]:
     """Check that a run has recordings of closed loops if and only if a loop was closed."""
     present = {name for name in LOOPS if (run.path / name).is_file()}
-    if not run.closes_loop:
+    if not run.can_close_loop:
         for name in sorted(present):
             yield CheckedClaim(claim=name, holds=False, found="such a run closes no loop")
         return

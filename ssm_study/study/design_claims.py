@@ -39,7 +39,7 @@ from ssm_study.study.findings import (
     DerivedColumns,
     UncheckedValues,
     check_agreement,
-    check_entries,
+    check_unknown_entries,
 )
 from ssm_study.study.run_files import RunFiles
 from ssm_study.synthesis.deployed import scaled_equilibrium_states
@@ -70,7 +70,7 @@ def check_certificate(run: RunFiles) -> Claims:
     design = run.design
     balls = certified_balls(run.model)
     sentences = failed_checks(run.certificate, run.model.system, balls, requested_system(run))
-    yield check_entries(run, "certificate.json", design)
+    yield check_unknown_entries(run, "certificate.json", design)
     misfits = [sentence for sentence in sentences if sentence.endswith(UNFIT)]
     if misfits:
         yield CheckedClaim(claim="certificate.json", holds=False, found="; ".join(misfits))

@@ -74,10 +74,10 @@ def result_file_names(folder: Path) -> set[str]:
     """Names of the files in a run folder that count as results of the run."""
     paths = [path for path in folder.rglob("*") if path.is_file()]
     names = [path.relative_to(folder).as_posix() for path in paths]
-    return {name for name in names if not is_not_a_result(name)}
+    return {name for name in names if not is_auxiliary_file(name)}
 
 
-def is_not_a_result(name: str) -> bool:
+def is_auxiliary_file(name: str) -> bool:
     """Whether a file in a run folder is no result of the run, such as a log, a checkpoint or a
     figure. Also a trace, exported code, Hydra's files, files of an earlier attempt, and names that
     begin with a dot."""

@@ -67,7 +67,7 @@ def check_agreement(
     return CheckedClaim(claim=claim, holds=not wrong, found=observation)
 
 
-def check_entries(run: RunFiles, file: str, read: Any) -> CheckedClaim:
+def check_unknown_entries(run: RunFiles, file: str, read: Any) -> CheckedClaim:
     """Check that a file of a run contains no entries that the program would ignore."""
     extra = find_unknown_entries(run.read_stored_object(file), read.to_json())
     observation = f"unknown: {', '.join(extra)}" if extra else "known"

@@ -31,9 +31,9 @@ TYPES: dict[str, tuple[type, ...]] = {
 
 def check_form(run: RunFiles) -> Claims:
     """Check the form of a run's files: types of recorded values, unknown entries, links."""
-    yield from _report_links(run.path)
-    yield from _report_byte_order_marks(run.path)
-    yield from _report_foreign_contents(run.path)
+    yield from _symbolic_link_failures(run.path)
+    yield from _byte_order_mark_failures(run.path)
+    yield from _foreign_content_failures(run.path)
     for name in ERRORS:
         if run.record.get(name) is not None:
             observation = "stands in the record of a run that did not fail"
@@ -48,7 +48,7 @@ def check_form(run: RunFiles) -> Claims:
     yield from _check_unreduced_fit(run)
     if run.has_certifiable_model:
         yield from _check_reason_texts(run)
-    if run.closes_loop:
+    if run.can_close_loop:
         yield from _check_settling_bands(run)
 
 
@@ -62,7 +62,7 @@ def has_declared_type(column: Column, value: Any) -> bool:
     return is_truth == (column.kind == "boolean") and isinstance(value, TYPES[column.kind])
 
 
-def _report_links(folder: Path) -> Iterator[CheckedClaim]:
+def _symbolic_link_failures(folder: Path) -> Iterator[CheckedClaim]:
     """Failed checks for symbolic links in a run folder, one for each link."""
     links = [path for path in sorted(folder.rglob("*")) if path.is_symlink()]
     for path in links:
@@ -70,7 +70,7 @@ def _report_links(folder: Path) -> Iterator[CheckedClaim]:
         yield CheckedClaim(claim=name, holds=False, found="is a link, and no file of this run")
 
 
-def _report_byte_order_marks(folder: Path) -> Iterator[CheckedClaim]:
+def _byte_order_mark_failures(folder: Path) -> Iterator[CheckedClaim]:
     """Failed checks for text files of a run that begin with a byte order mark, one for each
     file."""
     for path in sorted(folder.rglob("*")):
@@ -83,7 +83,7 @@ def _report_byte_order_marks(folder: Path) -> Iterator[CheckedClaim]:
             yield CheckedClaim(claim=name, holds=False, found="begins with a byte order mark")
 
 
-def _report_foreign_contents(folder: Path) -> Iterator[CheckedClaim]:
+def _foreign_content_failures(folder: Path) -> Iterator[CheckedClaim]:
     """Failed checks for recordings with signals or attachments that no run writes, one for each
     file."""
     for path in sorted(folder.glob("*.mcap")):

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 LOCAL = ("ProcessesLauncher", "BasicLauncher", "JoblibLauncher")  # these run jobs on this machine
 
 
-class Study(Task["Specification"]):
+class StudyTask(Task["Specification"]):
     """Task that computes one run of a study, from measured or simulated data to the closed loop."""
 
     libraries = (
@@ -85,9 +85,9 @@ class Study(Task["Specification"]):
             records = read_data_set(specification.data, specification.seed)
             specification.require_valid_input_limits(records.scale.input_equilibrium)
             if isinstance(specification.refine, list):
-                from ssm_study.study.trials import read_logs
+                from ssm_study.study.trials import read_trial_logs
 
-                read_logs(specification.refine, specification.data, records.step_s)
+                read_trial_logs(specification.refine, specification.data, records.step_s)
         elif specification.plant and specification.excitation.amplitude is not None:
             other_records = "validation, test and trials are at the plant's own amplitude"
             message = f"excitation.amplitude moves the training records alone; {other_records}."
@@ -254,7 +254,7 @@ class Study(Task["Specification"]):
         preload_modules(stages_to_compute)
 
 
-STUDY = Study()
+STUDY = StudyTask()
 
 
 def study_folder(config: DictConfig) -> Path:

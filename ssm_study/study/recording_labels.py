@@ -59,7 +59,7 @@ def expected_labels(run: RunFiles, data: DataSet) -> Iterator[RecordingLabels]:
     """Channel names, units and descriptions that the recordings of a run should have, from its data
     and plants."""
     expected = record_labels(data)
-    if run.closes_loop:
+    if run.can_close_loop:
         expected += loop_labels(run, data)
     for labels in expected:
         if (run.path / labels.file).is_file():

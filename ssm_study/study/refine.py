@@ -22,7 +22,7 @@ from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.study.line import STUDY
 from ssm_study.study.loop_recordings import read_loop_recordings
 from ssm_study.study.run_files import CONFIGURATION, RunFiles
-from ssm_study.study.trials import read_logs, records_from_loops, refined_run_name
+from ssm_study.study.trials import read_trial_logs, records_from_loops, refined_run_name
 from ssm_study.synthesis.measured_discs_run import coverage_columns
 
 # iterations at most: of the designs that failed on plants whose record hid something, two mended
@@ -149,7 +149,7 @@ def _measure_trial(files: RunFiles, log: Path | None) -> TrialMismatch:
         trial = records_from_loops(closed.controlled)
     else:
         data: Any = files.specification.data
-        trial = read_logs([str(log)], data, files.model.step_s)
+        trial = read_trial_logs([str(log)], data, files.model.step_s)
     validation = files.model_run.validation
     open_loop = tuple(record for record in files.mismatch_records if not record.closed_loop)
     measured = (validation.records, validation.start_up_samples, open_loop + trial)

@@ -190,7 +190,7 @@ class RunFiles:
         return self.model.scale.append_equilibrium_input(self.recorded_training_inputs)
 
     @property
-    def excitation(self) -> dict[str, float]:
+    def next_excitation_settings(self) -> dict[str, float]:
         """Settings for the next excitation signal of the same plant, from a run's input range and
         response time. They are those of `IdentificationExperiment`, with equilibrium
         input and sampling time."""
@@ -246,7 +246,7 @@ class RunFiles:
         return self.specification.model.gives_ssm
 
     @property
-    def closes_loop(self) -> bool:
+    def can_close_loop(self) -> bool:
         """Whether a run has a controller, an observer, and a plant or model to close the loop
         on."""
         if not self.has_certifiable_model or not self.design.feasible:

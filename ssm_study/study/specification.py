@@ -91,11 +91,11 @@ class Specification:
         This is said before the model is trained. Without a plant it is scored and certified, and no
         loop is closed.
         """
-        closes_loop = self.model.gives_ssm and self.plant is not None
+        can_close_loop = self.model.gives_ssm and self.plant is not None
         problem = "the loop samples the output before the input acts"
         remedy = "identify with model.feedthrough=false"
         feedthrough = self.configuration["model"].get("feedthrough")
-        is_refused = closes_loop and feedthrough
+        is_refused = can_close_loop and feedthrough
         require(not is_refused, "model.feedthrough", feedthrough, problem, remedy)
 
     def refuse_fast_modes(self) -> None:

@@ -57,7 +57,7 @@ def compute_dataset_with_logged_trials(
     folder: Path, records: DataSet, *, refine: list[str], data: "RecordedSource"
 ) -> None:
     """Write the data set of a run together with the user's logs of closed-loop trials."""
-    trials = read_logs(refine, data, records.step_s)
+    trials = read_trial_logs(refine, data, records.step_s)
     _write_data_and_trials(folder, records, trials)
 
 
@@ -87,7 +87,7 @@ def records_from_loops(run: Rollouts) -> Trajectories:
     return tuple(records)
 
 
-def read_logs(paths: Sequence[str], data: "RecordedSource", step_s: float) -> Trajectories:
+def read_trial_logs(paths: Sequence[str], data: "RecordedSource", step_s: float) -> Trajectories:
     """Read the user's logs of closed-loop trials with the column names and units of the run's data.
 
     Raises `BadRequest` as they do, and for another sampling time.
@@ -129,7 +129,7 @@ def repeat_trials(request: "Specification", run: Path) -> Trajectories:
     if isinstance(request.refine, list) or plant is None:
         logs: Any = request.refine
         data: Any = request.data
-        return read_logs(logs, data, model.step_s)
+        return read_trial_logs(logs, data, model.step_s)
     experiment = request.loop.with_default_horizon(model)
     trials: list[Trajectory] = []
     for content in read_json(run / TRIED):

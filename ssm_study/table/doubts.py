@@ -18,7 +18,7 @@ MOST = 10000  # combinations of a sweep that are compared with the table
 RUNS_IN_SENTENCE = 4
 
 
-def row_count_doubts(study: Path, table: pd.DataFrame) -> list[str]:
+def row_count_warnings(study: Path, table: pd.DataFrame) -> list[str]:
     """Sentences that say why the results table of a study may have too many or too few rows."""
     return [*repeated_run_sentences(table), *missing_run_sentences(study, table)]
 

@@ -70,10 +70,10 @@ def statistics_cells(label: str, runs: pd.DataFrame) -> Iterator[str]:
     yield str(runs["seed"].nunique())
     for name in MEASURED:
         values = runs[name].dropna().astype(float) if name in runs else pd.Series(dtype=float)
-        yield mean_and_deviation(values)
+        yield mean_and_deviation_text(values)
 
 
-def mean_and_deviation(values: pd.Series) -> str:
+def mean_and_deviation_text(values: pd.Series) -> str:
     """Mean and standard deviation as text, such as `3.3 ± 0.26`, the deviation with two digits; a
     dash without values."""
     if not len(values):

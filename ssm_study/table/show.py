@@ -22,7 +22,7 @@ from ssm_study.table.columns import (
     setting_path,
     text_column,
 )
-from ssm_study.table.doubts import row_count_doubts
+from ssm_study.table.doubts import row_count_warnings
 from ssm_study.table.filters import filter_rows as filtered
 from ssm_study.table.gather import gather, rows_differ_from_records
 from ssm_study.table.over_seeds import seed_statistics_lines
@@ -67,7 +67,7 @@ def show_table(
     """
     table, rows = gather_rows(study, by, where)
     if columns or cost:
-        lines = column_lines(table) if columns else computing_time_lines(rows)
+        lines = column_description_lines(table) if columns else computing_time_lines(rows)
         print("\n".join(lines))
         return table
     print_rows(rows, by)
@@ -76,7 +76,7 @@ def show_table(
     shown_count = len(rows)
     for line in [
         *status_summary_lines(table, printed_count=shown_count),
-        *row_count_doubts(study, table),
+        *row_count_warnings(study, table),
     ]:
         print(SUMMARY_LINES.fill(line))
     return table
@@ -112,7 +112,7 @@ def gather_rows(
     return table, rows
 
 
-def column_lines(table: pd.DataFrame) -> list[str]:
+def column_description_lines(table: pd.DataFrame) -> list[str]:
     """Text lines that describe the columns of a results table that have values."""
     head = ("column", "what it is (unit)", "better", "checked by verify unless said")
     rows = [head, *describe_columns(table)]

@@ -221,7 +221,7 @@ def test_a_first_log_gives_what_is_not_given(smoke_run: Path, tmp_path: Path) ->
     """Its own range with rest, its sampling time, and holds that its model's response asks for."""
     file = tmp_path / "input.csv"
     run_files = RunFiles(path=smoke_run, record={})
-    excitation = run_files.excitation
+    excitation = run_files.next_excitation_settings
     command = ["excite", "--to", str(file), "--after", str(smoke_run)]
     assert main(command) == 0
     table = pd.read_csv(file)

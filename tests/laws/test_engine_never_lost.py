@@ -18,7 +18,7 @@ import pytest
 from ssm_study.durable import add_digest, json_bytes, link_or_copy
 from ssm_study.engine.jobs import Job, kill_job, record_death
 from ssm_study.engine.records import LOCK, RECORD, parse_record, read_record, write_record
-from ssm_study.engine.runs import Run, error_columns, execute_run
+from ssm_study.engine.runs import Run, execute_run, failure_columns
 from ssm_study.engine.server import SERVER_DIED, UNBORN, JobProcess, Server
 from ssm_study.engine.settings import Settings
 from ssm_study.engine.stages import Stage
@@ -205,11 +205,11 @@ def test_what_the_machine_has_caused_is_tried_again(tmp_path: Path, cause: str) 
         filename = str(error.filename)
         error = FileNotFoundError(2, "No such file", filename.replace("RESULTS", str(tmp_path)))
     folder = tmp_path / "study" / "run"
-    facts = error_columns(error, folder)
+    facts = failure_columns(error, folder)
     assert facts["failure_transient"] is transient
     wrapped = ValueError("in between")
     wrapped.__cause__ = error
-    failure_transient = error_columns(wrapped, folder)["failure_transient"]
+    failure_transient = failure_columns(wrapped, folder)["failure_transient"]
     assert failure_transient is transient
 
 
@@ -248,7 +248,7 @@ def test_a_store_that_is_removed_under_a_run_is_no_fault_of_the_run(
 
 def test_a_full_disk_names_its_folder(tmp_path: Path) -> None:
     error = OSError(errno.ENOSPC, "No space left on device")
-    message = error_columns(error, tmp_path)["error_message"]
+    message = failure_columns(error, tmp_path)["error_message"]
     assert str(tmp_path) in message
 
 

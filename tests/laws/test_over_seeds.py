@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from ssm_study.table.over_seeds import mean_and_deviation, seed_statistics_lines
+from ssm_study.table.over_seeds import mean_and_deviation_text, seed_statistics_lines
 
 
 def study(**more: object) -> pd.DataFrame:
@@ -52,4 +52,4 @@ GROUPS = [([], "-"), ([2.0], "2"), ([1.0, 2.0], "1.5 ± 0.71")]
 @pytest.mark.parametrize(("values", "words"), GROUPS)
 def test_the_words_of_a_group(values: list[float], words: str) -> None:
     series = pd.Series(values, dtype=float)
-    assert mean_and_deviation(series) == words
+    assert mean_and_deviation_text(series) == words

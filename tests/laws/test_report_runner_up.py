@@ -4,7 +4,7 @@ from typing import Any
 
 import pandas as pd
 
-from ssm_study.report.page.runner_up import RunnerUp, choose_robust_alternative
+from ssm_study.report.page.runner_up import RobustAlternative, choose_robust_alternative
 from ssm_study.report.words import SETTLED
 
 
@@ -16,7 +16,7 @@ def run(time_s: float, margin: float, gain: float, **values: Any) -> dict[str, A
     return all_columns | values
 
 
-def found(*runs: dict[str, Any]) -> RunnerUp | None:
+def found(*runs: dict[str, Any]) -> RobustAlternative | None:
     return choose_robust_alternative(pd.DataFrame(list(runs)))
 
 
@@ -29,7 +29,7 @@ def test_the_fastest_run_with_twice_the_margin_is_named_with_its_numbers() -> No
     balanced = run(0.117, 4.06, 3.5)
     named = found(BEST, less_gain, robust, balanced)
     words = "settles in 0.103 s, with stability margin 3.83 (best run: 1.36) and gain 5.9 (33)"
-    expected = RunnerUp(place=2, text=words)
+    expected = RobustAlternative(place=2, text=words)
     assert named == expected
     second = found(BEST, less_gain)
     assert second is not None

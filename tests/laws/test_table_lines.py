@@ -16,7 +16,7 @@ from ssm_study.table.gather import rows_differ_from_records, table_from_records
 from ssm_study.table.over_seeds import align_columns, setting_heading
 from ssm_study.table.show import (
     certificate_words,
-    column_lines,
+    column_description_lines,
     computing_time_lines,
     format_cell,
     gather_rows,
@@ -277,7 +277,7 @@ def test_costs_are_listed_with_the_longest_first() -> None:
 
 def test_the_columns_are_listed_in_four_aligned_parts() -> None:
     table = table_of({"status": "ok", "seconds": 1.0})
-    head, *lines = column_lines(table)
+    head, *lines = column_description_lines(table)
     starts = [head.index(word) for word in ("what it is", "better", "checked by")]
     (line,) = [line for line in lines if line.startswith("seconds")]
     parts = ["seconds", "low", "not checked: depends on when it ran"]

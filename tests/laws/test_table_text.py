@@ -8,7 +8,7 @@ import pandas as pd
 from ssm_study.engine.records import write_record
 from ssm_study.report.page.data import page_title
 from ssm_study.table.columns import swept_settings
-from ssm_study.table.doubts import row_count_doubts
+from ssm_study.table.doubts import row_count_warnings
 from ssm_study.table.filters import filter_rows
 from ssm_study.table.gather import gather, rows_differ_from_records, table_from_records
 from ssm_study.table.rank import outcome_class, rank_runs
@@ -252,7 +252,7 @@ def test_runs_of_the_sweep_that_have_no_row_are_counted(tmp_path: Path) -> None:
     rows = [{"run": f"{order}{seed}", "order": order, "seed": seed} for order, seed in GRID]
     for missing, expected in MISSING_RUNS:
         table = table_from_records(rows[missing:])
-        sentences = row_count_doubts(tmp_path, table)
+        sentences = row_count_warnings(tmp_path, table)
         counts = [sentence.partition(" (")[0] for sentence in sentences]
         assert counts == expected
 

@@ -27,7 +27,7 @@ from ssm_study.table.doubts import (
     MOST,
     column_of_setting,
     comparable_setting_text,
-    row_count_doubts,
+    row_count_warnings,
     swept_values,
 )
 from ssm_study.table.folders import abbreviate_names, find_study_or_run
@@ -194,7 +194,7 @@ def model_row(run: str, seed: int, fit: float | None) -> dict[str, object]:
 def doubts_of(tmp_path: Path, *rows: dict[str, object]) -> list[str]:
     """Sentences about the table of these runs."""
     table = table_from_records(rows)
-    return row_count_doubts(tmp_path, table)
+    return row_count_warnings(tmp_path, table)
 
 
 def test_seeds_of_one_model_count_once(tmp_path: Path) -> None:
@@ -228,7 +228,7 @@ def test_a_table_without_fits_or_seeds_has_no_repeated_models(tmp_path: Path) ->
     rows = [model_row("a-1", 0, 90.0), model_row("b-2", 1, 90.0)]
     table = table_from_records(rows)
     for column in ("seed", "fit_train_percent"):
-        actual = row_count_doubts(tmp_path, table.drop(columns=column))
+        actual = row_count_warnings(tmp_path, table.drop(columns=column))
         assert actual == []
 
 

@@ -49,7 +49,7 @@ def bode_picture(
     phases = [Series(x=hertz, y=y)]
     u = record.u[:, 0]
     output = record.y[:, 0]
-    at_hertz, estimate = estimate_response(u, output, record.step_s)
+    at_hertz, estimate = estimate_frequency_response(u, output, record.step_s)
     if len(at_hertz):
         near = np.interp(at_hertz, hertz, angle)
         estimated_gain, estimated_phase = _estimated_dots(at_hertz, estimate, near)
@@ -161,7 +161,7 @@ def frequency_response_at_equilibrium(model: Model, angles: Angles) -> Complex[n
     return np.asarray(through_states + direct_gain)
 
 
-def estimate_response(
+def estimate_frequency_response(
     u: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"], step_s: float
 ) -> tuple[Float[np.ndarray, "K"], Complex[np.ndarray, "K"]]:
     """Estimate a frequency response from a record as the ratio of cross spectrum to input power.

@@ -26,7 +26,7 @@ def with_physical_amplitudes(study: StudyFolder, table: pd.DataFrame) -> pd.Data
             texts.append(None)
             continue
         is_read = place < MOST_READ and bool(name)
-        run = study.run(name) if is_read else None
+        run = study.run_folder(name) if is_read else None
         texts.append(coverage_reference_text(str(text), run, study.units.input))
     named = pd.Series(texts, index=table.index, dtype="string")
     return table.assign(**{COLUMN: named})

@@ -48,7 +48,7 @@ from ssm_study.table.columns import (
     swept_settings,
     text_column,
 )
-from ssm_study.table.doubts import row_count_doubts
+from ssm_study.table.doubts import row_count_warnings
 from ssm_study.table.rank import sort_best_first
 
 MOST_TRAJECTORIES = 200  # best runs whose trajectories are embedded: about 10 kB each
@@ -81,7 +81,7 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     names = [str(name) for name in table]
     data: dict[str, Any] = {"study": study.name, "folder": study.folder.resolve().name}
     data["verdicts"] = [vars(verdict) for verdict in VERDICTS]
-    data["columns"] = {name: encode_repeats(table[name]) for name in names}
+    data["columns"] = {name: encode_repeated_values(table[name]) for name in names}
     data["words"] = {
         name: study.units.replace_words_by_units(printed_column_name(name)) for name in names
     }
@@ -215,7 +215,7 @@ def page_texts(
 
 def table_remarks(study: StudyFolder, table: pd.DataFrame) -> list[Remark]:
     """Remark on runs of a study that are counted twice or are missing; empty if there are none."""
-    sentences = [] if study.others else row_count_doubts(study.folder, table)
+    sentences = [] if study.others else row_count_warnings(study.folder, table)
     text = " ".join(sentences)
     return [Remark(title="Runs", text=text, is_warning=True)] if sentences else []
 
@@ -224,7 +224,7 @@ def read_loop_facts(study: StudyFolder, record: dict[str, Any]) -> RecordedLoopF
     """Read facts on the closed loop of a run from its recording; None if the run left no recording
     of the loop."""
     name = record.get("run")
-    recording = study.run(name).closed_loop if name else None
+    recording = study.run_folder(name).closed_loop if name else None
     return None if recording is None else RecordedLoopFacts.from_recording(recording)
 
 
@@ -284,7 +284,7 @@ def mask_meaningless_values(table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(**changed)
 
 
-def encode_repeats(values: pd.Series) -> list[Any] | dict[str, list[Any]]:
+def encode_repeated_values(values: pd.Series) -> list[Any] | dict[str, list[Any]]:
     """Compact JSON form of a column with repeated values: the distinct values, and an index for
     each row. Without repeats it is the plain values."""
     at, distinct = pd.factorize(values, use_na_sentinel=False)
@@ -313,7 +313,7 @@ def best_run_trajectories(study: StudyFolder, table: pd.DataFrame) -> dict[str, 
     that left recordings have them."""
     by_run = {}
     for name in text_column(table, "run").head(MOST_TRAJECTORIES):
-        recordings = _run_recordings(study.run(name)) if name else {}
+        recordings = _run_recordings(study.run_folder(name)) if name else {}
         if recordings:
             by_run[name] = recordings
     return by_run
@@ -324,7 +324,7 @@ def best_run_pictures(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]
     kB and a second or two."""
     by_run = {}
     for name in text_column(table, "run").head(MOST_PICTURED):
-        pictured = pictures_of_run(study.run(name)) if name else []
+        pictured = pictures_of_run(study.run_folder(name)) if name else []
         if pictured:
             by_run[name] = pictured
     return by_run

@@ -14,15 +14,15 @@ MUCH = 2.0  # factor in margin or gain from which a run is much more robust
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunnerUp:
-    """More robust alternative to the best run: its row in the table, and a sentence that compares
-    the two runs."""
+class RobustAlternative:
+    """Run that is slower than the best run of a study, but more robust: its row in the table, and a
+    sentence that compares the two runs."""
 
     place: int
     text: str
 
 
-def choose_robust_alternative(table: pd.DataFrame) -> RunnerUp | None:
+def choose_robust_alternative(table: pd.DataFrame) -> RobustAlternative | None:
     """Choose the fastest run whose stability margin is at least twice that of the best run.
 
     If there is none, choose the fastest run whose controller gain is at most half that of the
@@ -38,7 +38,7 @@ def choose_robust_alternative(table: pd.DataFrame) -> RunnerUp | None:
         places = table.index[eligible & is_robust]
         if len(places):
             place = int(places[0])
-            return RunnerUp(place=place, text=comparison_text(table, place))
+            return RobustAlternative(place=place, text=comparison_text(table, place))
     return None
 
 
