@@ -12,9 +12,9 @@ from ssm_study.columns import ADDED
 from ssm_study.refusal import BadRequest
 from ssm_study.study import verify
 from ssm_study.study.findings import (
-    Checked,
+    CheckedClaim,
     DerivedColumns,
-    NotChecked,
+    UncheckedValues,
     UnconfirmableSettings,
     check_agreement,
 )
@@ -50,10 +50,10 @@ def judge(name: str, stored: Any, **more: Any) -> Any:
 
 def test_a_derived_column_is_compared_unless_it_is_listed_as_unchecked() -> None:
     same = judge("order", 4, derived={"order": 4})
-    expected = Checked(claim="order", holds=True, found="4")
+    expected = CheckedClaim(claim="order", holds=True, found="4")
     assert same == expected
     other = judge("order", 4, derived={"order": 5})
-    expected = Checked(claim="order", holds=False, found="derived 5, stored 4")
+    expected = CheckedClaim(claim="order", holds=False, found="derived 5, stored 4")
     assert other == expected
     listed = judge("order", 4, derived={"order": 5}, unchecked={"order": "the log is gone"})
     assert listed == "the log is gone"
@@ -61,7 +61,7 @@ def test_a_derived_column_is_compared_unless_it_is_listed_as_unchecked() -> None
 
 def test_a_column_that_nothing_gives_is_no_claim_that_holds() -> None:
     ungiven = judge("order", 4)
-    expected = Checked(claim="order", holds=False, found=f"stored 4, yet {UNGIVEN}")
+    expected = CheckedClaim(claim="order", holds=False, found=f"stored 4, yet {UNGIVEN}")
     assert ungiven == expected
     undeclared = judge("nothing_such", 4)
     assert undeclared.found == "stored 4, yet no such column is declared"
@@ -84,7 +84,7 @@ def test_only_the_first_records_may_lack_what_was_added() -> None:
     assert absent == ADDED
     for record in ({"record_version": 2}, {}, {"record_version": 1, "coverage": None}):
         verdict = judge_column("coverage", record, derived, {})
-        assert isinstance(verdict, Checked)
+        assert isinstance(verdict, CheckedClaim)
         assert not verdict.holds
 
 
@@ -154,10 +154,10 @@ def test_findings_are_gathered_by_their_kind(monkeypatch: pytest.MonkeyPatch) ->
     verification = judge_sections(
         monkeypatch,
         record,
-        Checked(claim="file", holds=True, found="read"),
+        CheckedClaim(claim="file", holds=True, found="read"),
         DerivedColumns({"order": 4, "hidden_width": 8}),
         UnconfirmableSettings({"seed": 1, "fold": 3}, "affects nothing"),
-        NotChecked({"rmse_test": "no log"}),
+        UncheckedValues({"rmse_test": "no log"}),
     )
     verdicts = {finding.claim: finding.holds for finding in verification}
     expected = {"file": True, "order": True, "hidden_width": False, "fold": False}
@@ -198,15 +198,15 @@ def test_a_section_is_called_by_what_it_is_about() -> None:
 def test_a_baseline_has_fewer_sections(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(verify, "check_form", lambda _: iter(()))
     monkeypatch.setattr(verify, "SECTIONS", ())
-    baseline = [lambda _: iter([Checked(claim="fits", holds=True, found="yes")])]
+    baseline = [lambda _: iter([CheckedClaim(claim="fits", holds=True, found="yes")])]
     monkeypatch.setattr(verify, "OF_A_BASELINE", baseline)
     run = run_of(specification=PARTS(model=PARTS(gives_ssm=False)))
     actual = [finding.claim for finding in verify_files(run)]
     assert actual == ["fits"]
 
 
-HOLDS = Checked(claim="a", holds=True, found="seen")
-FAILS = Checked(claim="b", holds=False, found="gone")
+HOLDS = CheckedClaim(claim="a", holds=True, found="seen")
+FAILS = CheckedClaim(claim="b", holds=False, found="gone")
 
 
 def test_a_verification_is_worded_in_full_or_by_its_failures() -> None:
@@ -240,7 +240,7 @@ def test_a_verification_is_worded_in_full_or_by_its_failures() -> None:
 
 
 def test_many_failures_are_named_in_three_hundred_letters() -> None:
-    many = [Checked(claim="c" * 40, holds=False, found=f"no {number}") for number in range(30)]
+    many = [CheckedClaim(claim="c" * 40, holds=False, found=f"no {number}") for number in range(30)]
     verification = Verification(findings=tuple(many), unchecked={})
     with pytest.raises(BadRequest) as caught:
         verification.require_valid("run", "r")

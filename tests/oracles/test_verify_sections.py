@@ -16,7 +16,7 @@ from ssm_study.study.claims import (
     check_loop_files,
     check_status,
     excitation_pairs,
-    label_pairs,
+    name_value_pairs,
     split_confirmable_settings,
 )
 from ssm_study.study.design_claims import (
@@ -29,7 +29,7 @@ from ssm_study.study.design_claims import (
     stored_number_errors,
     unrepeated_search_reason,
 )
-from ssm_study.study.findings import DerivedColumns, NotChecked, UnconfirmableSettings
+from ssm_study.study.findings import DerivedColumns, UncheckedValues, UnconfirmableSettings
 from ssm_study.study.run_files import RunFiles
 from ssm_study.synthesis.measured_discs_run import UNPROVED
 
@@ -71,10 +71,10 @@ def test_a_design_without_a_side_is_infeasible(
 
 def test_pairs_are_numbered_from_zero() -> None:
     expected = {"u 0": ("a", "x"), "u 1": ("b", "y")}
-    actual = label_pairs("ab", "xy", "u ")
+    actual = name_value_pairs("ab", "xy", "u ")
     assert actual == expected
     expected = {"0": ("a", "x")}
-    assert label_pairs("a", "x") == expected
+    assert name_value_pairs("a", "x") == expected
 
 
 def test_measured_disturbances_are_compared_where_both_sides_have_them() -> None:
@@ -129,7 +129,7 @@ def test_a_loop_is_closed_on_a_model_without_feedthrough_alone(
         )
         run = loop_run(Path("run"), True, plant=None)
         vars(run)["model_run"] = PARTS(model=None)
-        assert run.closes_loop is not feedthrough
+        assert run.can_close_loop is not feedthrough
 
 
 # Certificates of other versions.
@@ -243,7 +243,7 @@ def test_a_log_that_is_gone_names_what_follows_from_it() -> None:
     record = {"score_test_1": 1.0, "rmse_test": 2.0}
     run = run_of(record=record, specification=specification, missing_log_reason="gone")
     (listed,) = claims.check_records(run)
-    assert isinstance(listed, NotChecked)
+    assert isinstance(listed, UncheckedValues)
     names = set(listed.reasons.values())
     assert names == {"gone"}
     expected = {"score_test_1", "fit_train_percent", "evidence", "piece_start", "excitation.mcap"}
