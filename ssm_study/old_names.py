@@ -173,7 +173,11 @@ METHODS: Mapping[str, Mapping[str, str]] = {
         "rate_limit_of": "largest_provable_rate",
     },
     "models.baselines.solved.SolvedSpec": {"solve": "fit_model"},
-    "models.identified.ScaffoldedModel": {"lift": "map_input", "read": "output_at"},
+    "models.identified.ScaffoldedModel": {
+        "advance": "next_state",
+        "lift": "map_input",
+        "read": "output_at",
+    },
     "models.scaffolds.scaffold.Scaffold": {
         "after": "compose_with_output_matrix",
         "before": "compose_with_input_matrix",

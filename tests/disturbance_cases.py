@@ -133,7 +133,7 @@ def differences_of_loops(
         load = () if d is None else (d[sample],)
         memory = law.next_memory(memory, u, y, target, *load)
         mapped_input = model.map_input(u)
-        x = model.advance(x, mapped_input)
+        x = model.next_state(x, mapped_input)
         if d is not None:
             x = x + model.disturbance_contribution(d[sample])
     return np.array(rows)

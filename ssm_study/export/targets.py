@@ -323,7 +323,7 @@ def _simulate_loop(model: Model, device: Device, initial_state: Float[np.ndarray
         output = model.output_at(x, nothing_applied)
         y = np.asarray(output, dtype=kind)
         u, state = device.compute_step(state, y, set_point)
-        x = model.advance(x, model.map_input(u.astype(float)))
+        x = model.next_state(x, model.map_input(u.astype(float)))
         outputs.append(output)
     return np.array(outputs)
 

@@ -156,10 +156,10 @@ class EstimateFeedback(Controller):
         if d is not None:
             correction = correction + model.disturbance_contribution(d)
         if gains.l_z is None:
-            return model.advance(x_hat, lifted) + correction
+            return model.next_state(x_hat, lifted) + correction
         neurons = cast(StructuredSSM, model)  # only its observer has a gain into the neurons
         neuron_correction = multiply_rows(gains.l_z, innovation)
-        return neurons.advance(x_hat, lifted, neuron_correction) + correction
+        return neurons.next_state(x_hat, lifted, neuron_correction) + correction
 
     def estimate(self, memory: Memory) -> Estimate:
         """Estimate of the model's state, taken from the controller's memory."""

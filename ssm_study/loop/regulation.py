@@ -128,7 +128,7 @@ class IdentifiedPlant(Plant):
     ) -> States:
         """Next states of the identified model, with disturbances added to the mapped input."""
         mapped_input = self.model.map_input(u)
-        return self.model.advance(x, mapped_input + d)
+        return self.model.next_state(x, mapped_input + d)
 
     def disturbance_effect(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
         """Effect of measured disturbances on the next state of the identified model."""

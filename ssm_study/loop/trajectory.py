@@ -72,7 +72,7 @@ def scaled_equilibrium(model: Model, output: Vector) -> tuple[Vector, Vector]:
 def _equilibrium_residual(model: Model, scaled_output: Vector, state_and_input: Vector) -> Vector:
     """Residual of a model's equilibrium equations for a state, an input and a scaled output."""
     x, v = np.split(state_and_input, [model.order])
-    motion = model.advance(x, v) - x
+    motion = model.next_state(x, v) - x
     through_neurons: Vector | float = 0.0
     if isinstance(model, StructuredSSM):
         neuron_outputs = model.neuron_outputs(x, v)
@@ -191,7 +191,7 @@ def feedback_trajectory(
         plan[i] = np.concatenate(state_and_input)
         mapped_row = model.scaffold_in(u[None])
         mapped_input = mapped_row[0]
-        x = model.advance(x, mapped_input)
+        x = model.next_state(x, mapped_input)
     return plan
 
 

@@ -131,8 +131,8 @@ class ScaffoldedModel(Simulator):
         return StateSpace(a=linear.a, b=b, c=linear.c, d=d)
 
     @abstractmethod
-    def advance(self, x: State, ubar: MappedInput) -> State:
-        """Advance a model's state by one sample, for an input after the static input map."""
+    def next_state(self, x: State, ubar: MappedInput) -> State:
+        """State of a model one sample later, for an input after the static input map."""
 
     def output_at(self, x: State, ubar: MappedInput) -> Float[np.ndarray, "*batch p"]:
         """Output of a model in physical units for a state and an input after the static input map.
@@ -255,8 +255,8 @@ class SSM(ScaffoldedModel):
             linear=linear, scaffold_in=inward, scaffold_out=outward, scale=scale, step_s=step_s
         )
 
-    def advance(self, x: State, ubar: MappedInput) -> State:
-        """Advance the state of the linear recurrence by one sample, `x+ = A x + B ubar`."""
+    def next_state(self, x: State, ubar: MappedInput) -> State:
+        """State of the linear recurrence one sample later, `x+ = A x + B ubar`."""
         free_motion = x @ self.linear.a.T
         driven_motion = ubar @ self.linear.b.T
         return free_motion + driven_motion

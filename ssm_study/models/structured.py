@@ -236,9 +236,9 @@ class StructuredSSM(ScaffoldedModel):
         at_rest = evaluate_activations(self.neurons, self.bias)
         return evaluate_activations(self.neurons, z) - at_rest
 
-    def advance(self, x: State, ubar: MappedInput, injected: Injected = 0.0) -> State:
-        """Advance the state of the recurrence with neurons by one sample, `x+ = A x + B v + E w`.
-        `injected` is as in `neuron_outputs`."""
+    def next_state(self, x: State, ubar: MappedInput, injected: Injected = 0.0) -> State:
+        """State of the recurrence with neurons one sample later, `x+ = A x + B v + E w`. `injected`
+        is as in `neuron_outputs`."""
         w = self.neuron_outputs(x, ubar, injected)
         linear_motion = x @ self.a.T + ubar @ self.b.T
         neuron_motion = w @ self.e.T

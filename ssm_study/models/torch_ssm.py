@@ -304,7 +304,7 @@ class TorchModel(nn.Module, ABC):
 
     def forward(self, u: Signals, x0: States | None = None) -> Signals:
         """Simulate a trainable model's output from an initial state. A subclass overrides it where
-        it can be cheaper than `advance`."""
+        it can be cheaper than `simulate_with_final_state`."""
         start = u.new_zeros(len(u), self.states) if x0 is None else x0
         return self.simulate_with_final_state(u, start)[0]
 

@@ -141,8 +141,8 @@ def _closed_loop_outputs(
         outputs[:, :, sample] = y
         innovation = model.scaled_output_at(x_hat, mapped_input) - y
         into_neurons = () if l_z is None else (innovation @ l_z,)
-        x = model.advance(x, mapped_input)
-        predicted = model.advance(x_hat, mapped_input, *into_neurons)
+        x = model.next_state(x, mapped_input)
+        predicted = model.next_state(x_hat, mapped_input, *into_neurons)
         estimate = predicted + innovation @ l_
         x_hat = np.clip(estimate, -LARGEST, LARGEST)
         x = np.clip(x, -LARGEST, LARGEST)

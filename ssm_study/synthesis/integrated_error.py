@@ -54,7 +54,7 @@ def comparison_scenario(
         mapped_inputs = model.map_input(record.u)
         for mapped_input, push in zip(mapped_inputs, pushes, strict=True):
             visited.append(x)
-            x = model.advance(x, mapped_input) + push
+            x = model.next_state(x, mapped_input) + push
     visited_count = len(visited)
     evenly_spaced = np.linspace(0, visited_count - 1, CASES + 2)
     rounded_places = evenly_spaced.astype(int)
@@ -200,9 +200,9 @@ def _response_areas(
         frozen = z @ stopped_integrator_matrix(modes).T
         next_z = np.where(is_free, moved, frozen)
         z = np.clip(next_z, -LARGEST, LARGEST)
-        x = model.advance(x, loaded)
+        x = model.next_state(x, loaded)
         into_neurons = () if l_z is None else (innovation @ l_z,)
-        predicted = model.advance(x_hat, mapped_input, *into_neurons)
+        predicted = model.next_state(x_hat, mapped_input, *into_neurons)
         estimate = predicted + innovation @ l_
         x_hat = np.clip(estimate, -LARGEST, LARGEST)
     return area + settled_at

@@ -208,6 +208,6 @@ def test_stepping_the_pieces_is_the_simulation() -> None:
         ubar = model.map_input(sample)
         output = model.output_at(x, ubar)
         y.append(output)
-        x = model.advance(x, ubar)
+        x = model.next_state(x, ubar)
     actual = np.stack(y)
     np.testing.assert_allclose(actual, expected, rtol=1e-12)

@@ -93,7 +93,7 @@ def test_the_compiled_run_is_the_stepped_one(seed: int, n: int, m: int, p: int) 
         actual = model.output_at(x, ubar)
         expected = compiled[:, k]
         np.testing.assert_allclose(actual, expected, atol=1e-12, rtol=1e-12)
-        x = model.advance(x, ubar)
+        x = model.next_state(x, ubar)
 
 
 def test_rest_stays_at_rest_whatever_the_bias() -> None:

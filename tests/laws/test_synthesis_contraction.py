@@ -84,9 +84,9 @@ def closed_loop(
         scaled = model.scaled_output_at(xh, ubar)
         plant_output = model.scaled_output_at(x, ubar)
         innovation = scaled - plant_output
-        x = model.advance(x, ubar)
+        x = model.next_state(x, ubar)
         observer_l = design.observer.l
-        predicted = model.advance(xh, ubar)
+        predicted = model.next_state(xh, ubar)
         correction = innovation @ observer_l.T
         xh = predicted + correction
     all_states = np.stack(states, axis=1)

@@ -239,7 +239,7 @@ def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
                 else model.scale.output_equilibrium
             )
             applied, state = device.compute_step(state, y, r)
-            truth = model.advance(truth, lift(model, applied))
+            truth = model.next_state(truth, lift(model, applied))
         difference = np.abs(model.scale.scaled_output(y) - model.scale.scaled_output(r))
         largest_difference = difference.max()
         assert largest_difference < 20 * missed
@@ -252,7 +252,7 @@ def lift(model: StructuredSSM, u: np.ndarray) -> np.ndarray:
 def rested(model: StructuredSSM, v: np.ndarray) -> np.ndarray:
     x = np.zeros(model.order)
     for _ in range(500):
-        x = model.advance(x, v)
+        x = model.next_state(x, v)
     return x
 
 

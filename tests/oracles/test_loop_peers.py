@@ -87,8 +87,8 @@ def test_a_textbooks_design_knows_neurons_by_their_slopes_at_rest():
     n = model.order
     m = model.b.shape[1]
     points = 1e-6 * np.eye(n + m)
-    ahead = model.advance(points[:, :n], points[:, n:])
-    behind = model.advance(-points[:, :n], -points[:, n:])
+    ahead = model.next_state(points[:, :n], points[:, n:])
+    behind = model.next_state(-points[:, :n], -points[:, n:])
     difference = ahead - behind
     moved = difference.T / 2e-6
     seen = known.linear_model.linear

@@ -30,7 +30,7 @@ def test_the_rest_point_is_where_a_constant_input_takes_the_model(y: float) -> N
     response = stand.simulate(constant_input)
     assert response[-1, 0] == pytest.approx(y, abs=1e-8)
     drive = stand.scaffold_in(u[None])[0]
-    next_x = stand.advance(x, drive)
+    next_x = stand.next_state(x, drive)
     difference = np.abs(next_x - x)
     largest_difference = difference.max()
     assert largest_difference < 1e-9

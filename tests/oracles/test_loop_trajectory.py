@@ -78,7 +78,7 @@ def test_an_equilibrium_is_one(seed):
     y = output_equilibrium + 0.7 * model.scale.output_scale
     x, u = scaled_equilibrium(model, y)
     lifted = model.scaffold_in(u)
-    actual = model.advance(x, lifted)
+    actual = model.next_state(x, lifted)
     np.testing.assert_allclose(actual, x, atol=1e-9)
     actual = model.output_at(x, lifted)
     np.testing.assert_allclose(actual, y, rtol=1e-9)
@@ -94,7 +94,7 @@ def test_a_planned_trajectory_is_the_models_own_and_near():
     u = plan[:, 2:]
     actual = x[1:]
     drive = model.scaffold_in(u[:-1])
-    expected = model.advance(x[:-1], drive)
+    expected = model.next_state(x[:-1], drive)
     np.testing.assert_allclose(actual, expected, atol=1e-9)
     y = model.output_at(x, model.scaffold_in(u))
     difference = np.abs(y - reference)

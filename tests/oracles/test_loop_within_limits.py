@@ -71,7 +71,7 @@ def inputs(model: SSM, design: Design, y0: float) -> np.ndarray:
         u = law.input(memory, y, target)
         memory = law.next_memory(memory, u, y, target)
         mapped = model.map_input(u)
-        x = model.advance(x, mapped)
+        x = model.next_state(x, mapped)
         input_now = u[0, 0]
         requests.append(input_now)
     return np.array(requests)

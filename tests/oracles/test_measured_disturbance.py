@@ -104,7 +104,7 @@ def test_the_observer_is_told_the_load() -> None:
         informed = law.next_memory(informed, u, y, target, d)
         uninformed = law.next_memory(uninformed, u, y, target)
         load = model.disturbance_contribution(d)
-        x = model.advance(x, drive) + load
+        x = model.next_state(x, drive) + load
     np.testing.assert_allclose(informed, x, atol=1e-12)
     difference = np.abs(uninformed - x)
     largest_difference = difference.max()

@@ -177,8 +177,8 @@ def test_no_simulated_mismatch_below_it_keeps_the_loop_from_rest() -> None:
                 e = sign * np.sqrt(share * budget)
                 v = slope * u
                 error = x_hat @ stand.c.T - (x @ stand.c.T + e)
-                estimate = stand.advance(x_hat, v, error @ l_z.T) + l @ error
-                after.append((stand.advance(x, v), estimate, e * e))
+                estimate = stand.next_state(x_hat, v, error @ l_z.T) + l @ error
+                after.append((stand.next_state(x, v), estimate, e * e))
             energies = [energy(proved, *states) for *states, _ in after]
             x, x_hat, spent = after[int(np.argmax(energies))]
             budget = budget - spent

@@ -65,7 +65,7 @@ def controlled_step_function(
 def observer_step_function(model: SSM, l: Float[np.ndarray, "n p"]) -> Step:  # noqa: E741 - the paper's letter
     """Function that computes the next state of an observer, in scaled units."""
     rest = np.zeros((PAIRS, model.linear.b.shape[1]))
-    return lambda x: model.advance(x, rest) + model.scaled_output_at(x, rest) @ l.T
+    return lambda x: model.next_state(x, rest) + model.scaled_output_at(x, rest) @ l.T
 
 
 def relative_distances(step: Step, metric: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "N T"]:
