@@ -207,8 +207,8 @@ def _cost_matrices(f, input_to_neurons, state_weight, input_weight, m, r, log_mu
 @compile_with_numba
 @no_type_check
 def _constraint_matrix(h, m, inputs, has_injection):
-    """Matrix that selects the maximising players' signals, for which the quadratic form of the game
-    must be negative. It depends on the order in which the players move."""
+    """Matrix that selects the signals of a game's maximising players, for which the quadratic form
+    of the game must be negative. It depends on the order in which the players move."""
     size = len(h)
     t = np.zeros((size, size - m))
     for i in range(m, size):

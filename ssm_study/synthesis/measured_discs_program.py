@@ -126,8 +126,8 @@ class LoopForms:
 
 @dataclass(frozen=True, kw_only=True)
 class FormsAtAngles:
-    """Quadratic forms of a closed loop in its free signals, as Hermitian matrices at several
-    frequencies."""
+    """Quadratic forms of a closed loop in its free signals, such as the model error, as Hermitian
+    matrices at several frequencies."""
 
     angles: Angles
     model: FormsOverAngles
@@ -156,8 +156,8 @@ class FormsAtAngles:
 def loop_without_filters(
     theorem: type[MeasuredDiscs], context: VerificationContext
 ) -> tuple[Any, dict[str, int]]:
-    """Closed-loop matrices of the theorem on discs of model errors, without weights, and the number
-    of multipliers by name."""
+    """Closed-loop matrices that the theorem on discs of model errors uses without weighting
+    filters, and the number of multipliers by name."""
     loop = theorem.loop_matrices(context)
     lambda_out = 3 if loop["beta_out"] > 0 else 0
     counts = {"lambda_p": 1, "lambda_out": lambda_out}
@@ -244,8 +244,8 @@ class ConeProgram:
 
 
 def _real_upper_triangles(hermitian: HermitianForms) -> Float[np.ndarray, "n t"]:
-    """Upper triangles of the real symmetric forms of Hermitian matrices, in the order that Clarabel
-    takes."""
+    """Upper triangles of the real symmetric forms of Hermitian matrices, in the order that the
+    solver Clarabel requires."""
     real = hermitian.real
     imaginary = hermitian.imag
     top = np.concatenate([real, -imaginary], axis=2)

@@ -71,8 +71,8 @@ class CoverageResult:
 
 
 def select_theorem(context: VerificationContext) -> type[MeasuredDiscs]:
-    """Theorem on discs of model errors that fits a model: one for models with neurons, another for
-    those without."""
+    """Class of the theorem on closed loops with bounded model errors, one for models with neurons
+    and another for models without."""
     neurons = isinstance(context.system, StructuredSystem)
     return StructuredMeasuredDiscs if neurons else MeasuredDiscs
 
@@ -153,7 +153,7 @@ def _largest_squared_radius(
 def additional_grid_frequencies(
     deciding: Float[np.ndarray, "D"], angles: Float[np.ndarray, "F"]
 ) -> Float[np.ndarray, "N"]:
-    """Additional grid frequencies around each frequency whose constraint determines the optimum."""
+    """Additional grid frequencies around each frequency whose constraint limits the disc radius."""
     ascending = np.sort(angles)
     last = len(ascending) - 1
     fine = []
@@ -287,8 +287,8 @@ def _certify_largest_coverage_at_centres(
     requirements: dict[float, list[DiscRequirement]],
     basis: WeightBasis,
 ) -> CoverageResult:
-    """Certificate with the largest ratio of proved to recorded model error, among discs around
-    given centres."""
+    """Certificate with the largest ratio of proved to recorded model error, among bounds that are
+    discs around given centres."""
     started = time.perf_counter()
     theorem = select_theorem(context)
     forms = LoopForms.from_context(theorem, context, tuple(requirements))

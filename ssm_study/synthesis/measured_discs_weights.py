@@ -240,7 +240,8 @@ class WeightProgram:
         return 2 * (self.basis.order + 1)
 
     def _constraints_with_radius(self, scale: Unknowns) -> tuple[ConstraintRows, Bounds]:
-        """Linear constraints on disc radius, weights and multipliers, with their bounds.
+        """Linear constraints on the radius and weights of a disc of model errors and on the
+        multipliers, with their bounds.
 
         Each item needs nu at most; the weights stay clear of zero; a multiplier is at least zero
         and at most `MOST`; nu is at most `LARGEST`.
@@ -301,8 +302,8 @@ class WeightProgram:
     def _constraints_with_widening(
         self, scale: Unknowns, squared_radius: float
     ) -> tuple[ConstraintRows, Bounds, int]:
-        """Linear constraints on the weights of the disc, the multipliers, and the factors by which
-        the weights are enlarged.
+        """Linear constraints on the weights of a disc of model errors, on the multipliers, and on
+        the factors by which the weights are enlarged.
 
         Each item needs its band's widening times nu at most; a widening lies between one and
         `WIDEST`.

@@ -39,8 +39,8 @@ def score_regressions(search: SettingsSearch) -> list[Candidate]:
 def add_clearly_better_regression(
     candidates: Sequence[Candidate], regressions: Sequence[Candidate]
 ) -> list[Candidate]:
-    """Add the simplest good regression to the candidate models, if output error is clearly worse
-    than it.
+    """Add the simplest good regression to the candidate models, if all output-error models are
+    clearly worse.
 
     It stands behind the output-error models and before all others, which have more to be trained.
     """

@@ -195,7 +195,7 @@ class SettingsSearch:
         return alike[0] if alike else None
 
     def adopt_settings(self, candidate: Candidate, settings: Settings) -> None:
-        """Give every undecided setting the value that a candidate has."""
+        """Give every undecided model setting the value that it has in a candidate model."""
         self.chosen.append(candidate)
         self.decided |= {name: value for name, value in settings.items() if self.is_undecided(name)}
 

@@ -1,1 +1,1 @@
-"""Static maps at a model's input and output, with slopes that can be certified."""
+"""Static maps at a model's input and output, whose slopes have proved bounds."""
