@@ -155,8 +155,8 @@ def test_the_last_refined_run_is_summarised(
 
 @pytest.mark.parametrize("words", ["--by a", "--where a", "--columns", "--cost"])
 def test_options_of_a_table_are_refused_for_one_run(words: str) -> None:
+    options = options_of(f"show r {words}")
     with pytest.raises(BadRequest, match="is for a study, not for one run"):
-        options = options_of(f"show r {words}")
         commands.show_run(options)
 
 
@@ -209,8 +209,8 @@ def test_a_log_is_drawn_if_it_has_records(
 
 def test_a_signal_needs_what_no_earlier_run_gives() -> None:
     complete = "excite --to f --lower 0 --upper 1 --rest 0 --step-s 0.1"
+    options = options_of(complete)
     with pytest.raises(BadRequest, match="--settle-s = not given: it is needed when no earlier"):
-        options = options_of(complete)
         commands.write_excitation(options)
 
 

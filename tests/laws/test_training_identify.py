@@ -102,7 +102,9 @@ def test_the_stored_model_reproduces_its_stored_fit(precision: int, tmp_path: Pa
     text = json.dumps(found.model.to_json())
     content = json.loads(text)
     again = SSM.from_json(content)
-    assert records_fit_percent(again, data.validation, data) == found.fit_validation_percent
+    expected = found.fit_validation_percent
+    actual = records_fit_percent(again, data.validation, data)
+    assert actual == expected
     largest = max(row["fit_training_percent"] for row in found.curve)
     lower_limit = largest - 0.01
     assert records_fit_percent(again, data.training, data) > lower_limit
@@ -143,7 +145,9 @@ def test_the_fit_that_the_curve_shows_is_that_of_the_state_it_stands_beside(
     data = data_set(samples=120)
     found = training(optimiser, max_epochs=1).identify(spec(), data, 0, tmp_path)
     reached = records_fit_percent(found.model, data.training, data)
-    assert found.curve[0]["fit_training_percent"] == pytest.approx(reached, abs=1e-4)
+    expected = pytest.approx(reached, abs=1e-4)
+    actual = found.curve[0]["fit_training_percent"]
+    assert actual == expected
 
 
 @pytest.mark.parametrize("optimiser", [LBFGS, ADAM])
@@ -169,7 +173,9 @@ def test_records_of_unequal_length_train_as_they_are(tmp_path: Path) -> None:
     found = training().identify(spec(), data, seed=0, folder=tmp_path)
     assert records_fit_percent(found.model, data.test, data) > 99.0
     shown = max(row["fit_training_percent"] for row in found.curve)
-    assert records_fit_percent(found.model, data.training, data) == pytest.approx(shown, abs=0.5)
+    expected = pytest.approx(shown, abs=0.5)
+    actual = records_fit_percent(found.model, data.training, data)
+    assert actual == expected
 
 
 def test_unknown_initial_states_are_estimated(tmp_path: Path) -> None:
@@ -197,9 +203,8 @@ def test_validation_starts_where_a_score_starts(tmp_path: Path) -> None:
     moving = dataclasses.replace(data, training=late, validation=late, start_up_samples=20)
     found = training(max_epochs=4).identify(spec(), moving, 0, tmp_path)
     kept = max(row["fit_validation_percent"] for row in found.curve)
-    assert found.fit_validation_percent == pytest.approx(
-        kept, abs=0.3
-    )  # 0.2 is the tolerance of what is kept
+    expected = pytest.approx(kept, abs=0.3)  # 0.2 is the tolerance of what is kept
+    assert found.fit_validation_percent == expected
     late_y = late[0].y
     late_u = late[0].u
     response = found.model.simulate(late_u)

@@ -103,7 +103,8 @@ def test_members_are_of_the_structures_that_folds_cannot_tell_apart(tmp_path: Pa
     orders = [member.order for member in train_choice(choice, data, session).members]
     assert orders == [2, 2, 1]
     alone = replace(choice, spec=replace(choice.spec, members=1))
-    assert train_choice(alone, data, session).members == ()
+    actual = train_choice(alone, data, session).members
+    assert actual == ()
 
 
 def train_choice(choice: SettingsChoice, data: DataSet, session: TrainingSession) -> Identification:
@@ -119,7 +120,9 @@ def test_other_structures_contract_and_are_about_as_good() -> None:
     integrating = replace(near, settings={"rate": 0.999, "integrating_output": True})
     linear = replace(near, fits=())
     candidates = [chosen, near, behind, free, integrating, linear]
-    assert models_of_other_structure(candidates, chosen) == [near]
+    expected = [near]
+    actual = models_of_other_structure(candidates, chosen)
+    assert actual == expected
 
 
 def test_what_fails_on_a_fold_is_not_taken_for_its_size() -> None:
@@ -149,7 +152,9 @@ def test_the_best_of_short_starts_goes_on_and_certified_ones_come_first() -> Non
     spec = StructuredSpec(**FIXED | BRIEF)  # type: ignore[arg-type]
     lines: list[str] = []
     seeds = best_seeds(spec, data, 7, 3, kept_count=3, print_line=lines.append)
-    assert [line.split(",")[0] for line in lines] == ["1 of 3", "2 of 3", "3 of 3"]
+    expected = ["1 of 3", "2 of 3", "3 of 3"]
+    actual = [line.split(",")[0] for line in lines]
+    assert actual == expected
     assert all("fit to the training records" in line for line in lines)
     assert training_fit_as_text(float("inf")) == "the simulation diverges"
     losses = []
@@ -158,7 +163,8 @@ def test_the_best_of_short_starts_goes_on_and_certified_ones_come_first() -> Non
         fit.start_training(STEPS)
         losses.append(float(fit.loss))
     assert losses == sorted(losses)
-    assert sorted(seeds) == [7, 1007, 2007]
+    expected = [7, 1007, 2007]
+    assert sorted(seeds) == expected
 
     class OnlyTheLast:
         """A choice among starts by which the model of one start alone can be certified."""
@@ -173,7 +179,9 @@ def test_the_best_of_short_starts_goes_on_and_certified_ones_come_first() -> Non
     fit.start_training(STEPS)
     last = fit.as_model()
     asked = replace(spec, among_starts=OnlyTheLast())
-    assert best_seeds(asked, data, 7, 3, kept_count=2) == [seeds[-1], seeds[0]]
+    expected = [seeds[-1], seeds[0]]
+    actual = best_seeds(asked, data, 7, 3, kept_count=2)
+    assert actual == expected
 
 
 def test_a_model_that_need_not_contract_has_to_gain_a_quarter() -> None:
@@ -184,7 +192,9 @@ def test_a_model_that_need_not_contract_has_to_gain_a_quarter() -> None:
         free = candidate("structured", *[error] * 4)
         search.tried.append(replace(free, settings={"order": order, "rate": None}))
     taken = far_better_noncontracting(try_noncontracting_models(search), contracting)
-    assert [one.settings["order"] for one in taken] == [2]
+    expected = [2]
+    actual = [one.settings["order"] for one in taken]
+    assert actual == expected
     search.decided["integrating_output"] = True
     assert try_noncontracting_models(search) == []
 
@@ -198,7 +208,9 @@ def test_many_neurons_without_contraction_need_few_that_were_not_given_up() -> N
         settings = {"order": size, "neurons": size, "rate": None}
         search.tried.append(replace(given_up, settings=settings))
     tried = try_noncontracting_models(search)
-    assert [one.settings["neurons"] for one in tried] == [2, 3]
+    expected = [2, 3]
+    actual = [one.settings["neurons"] for one in tried]
+    assert actual == expected
 
 
 def test_one_layer_stays_where_no_good_model_with_an_integrator_can_be_certified() -> None:
@@ -211,7 +223,9 @@ def test_one_layer_stays_where_no_good_model_with_an_integrator_can_be_certified
     assert candidates_without_neurons_or_integrator(search) == []
     search.decided["integrating_output"] = True
     stays = candidates_without_neurons_or_integrator(search)
-    assert [id(each) for each in stays] == [id(one_layer)]
+    expected = [id(one_layer)]
+    actual = [id(each) for each in stays]
+    assert actual == expected
     smallest = candidate("one state", 30.0, 31.0, 30.0, 33.0)
     best = candidate("two states", 10.0, 11.0, 10.0, 12.0)
     search.spec = replace(spec, among_starts=AllCertified())
@@ -254,7 +268,9 @@ def test_an_integrator_has_to_beat_models_without_neurons() -> None:
         search = search_with_integrator(spec, folds, error)
         assert not decide_on_integrator(search)
         assert search.has_integrator is is_needed
-        assert len(search.chosen) == int(is_needed)
+        expected = int(is_needed)
+        count = len(search.chosen)
+        assert count == expected
 
 
 def test_an_integrator_that_leads_but_not_clearly_is_trained_further(
@@ -269,10 +285,13 @@ def test_an_integrator_that_leads_but_not_clearly_is_trained_further(
     assert decide_on_integrator(search)
     assert not search.has_integrator
     assert search.chosen == []
-    assert try_models_with_integrator(search, [one_layer]) == []
+    actual = try_models_with_integrator(search, [one_layer])
+    assert actual == []
     far = replace(one_layer, errors=100.0 * one_layer.errors)
     leading = try_models_with_integrator(search, [far])
-    assert {one.settings["integrating_output"] for one in leading} == {True}
+    expected = {True}
+    actual = {one.settings["integrating_output"] for one in leading}
+    assert actual == expected
     assert leading[0].question == "longer training"
 
 
