@@ -10,7 +10,12 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
 from omegaconf import OmegaConf
 
-from ssm_study.engine.compose import Command, Composer, Loader, grid_combinations
+from ssm_study.engine.compose import (
+    Composer,
+    FastConfigurationLoader,
+    HydraCommandLine,
+    grid_combinations,
+)
 from ssm_study.engine.jobs import create_jobs
 from ssm_study.engine.progress import ProgressWatcher
 from ssm_study.engine.settings import refuse_nonfinite_settings
@@ -59,14 +64,14 @@ def quote_sines(arguments: Iterable[str]) -> list[str]:
     return [SINE.sub(r"'\1'", word) if "internal_model=" in word else word for word in arguments]
 
 
-def compose_request(arguments: list[str], folder: Path, name: str) -> Command:
+def compose_request(arguments: list[str], folder: Path, name: str) -> HydraCommandLine:
     """Compose the configuration that a command line requests; raise `BadRequest` for a class
     outside the allow list.
 
     Hydra makes callbacks, launcher and sweeper before any code of ours is asked; so this comes
     first. Raises `BadRequest`, and whatever Hydra raises for a request it cannot compose.
     """
-    request = Command(arguments, folder, name)
+    request = HydraCommandLine(arguments, folder, name)
     refuse_missing_choices(request)
     rename_old_settings(request.config)
     refuse_foreign_targets(request.config)
@@ -75,17 +80,17 @@ def compose_request(arguments: list[str], folder: Path, name: str) -> Command:
     return request
 
 
-def parse_overrides(request: Command) -> list[Override]:
+def parse_overrides(request: HydraCommandLine) -> list[Override]:
     """Parse the overrides of a requested configuration. Raises Hydra's error for an override that
     cannot be parsed."""
     parser = OverridesParser.create(config_loader=request.config_loader)
     return parser.parse_overrides(list(request.asked.overrides))
 
 
-def refuse_missing_choices(request: Command) -> None:
+def refuse_missing_choices(request: HydraCommandLine) -> None:
     """Raise `BadRequest` for a configuration group without a choice, such as `plant=`, which Hydra
     reports unclearly."""
-    assert isinstance(request.config_loader, Loader)
+    assert isinstance(request.config_loader, FastConfigurationLoader)
     for override in parse_overrides(request):
         key = str(override.key_or_group)
         if override.is_sweep_override() or not request.config_loader.repository.group_exists(key):
@@ -98,7 +103,7 @@ def refuse_missing_choices(request: Command) -> None:
         require(is_choice, key, value, problem, "see the choices in `ssm-study run --help`")
 
 
-def refuse_empty_dictionaries(request: Command) -> None:
+def refuse_empty_dictionaries(request: HydraCommandLine) -> None:
     """Raise `BadRequest` for an empty dictionary such as `plant={}`, which Hydra would merge
     without any effect."""
     for override in parse_overrides(request):
@@ -110,7 +115,7 @@ def refuse_empty_dictionaries(request: Command) -> None:
 
 
 @contextmanager
-def check_jobs_before_start(request: Command) -> Iterator[None]:
+def check_jobs_before_start(request: HydraCommandLine) -> Iterator[None]:
     """Context manager in which every job of a sweep is checked before Hydra starts. It also shows
     progress where the launcher reports none.
 

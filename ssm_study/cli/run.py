@@ -27,7 +27,7 @@ from ssm_study.cli.request import (
     translate_arguments,
 )
 from ssm_study.cli.summary import print_run_summary, print_sweep_summary
-from ssm_study.engine.compose import Command, clear_hydra_state
+from ssm_study.engine.compose import HydraCommandLine, clear_hydra_state
 from ssm_study.refusal import BadRequest, require
 
 NOTHING_SET = "no setting given: this is the paper's motor (experiment=paper); --help lists others"
@@ -108,7 +108,7 @@ def answer_request(overrides: list[str], opens_page: bool) -> int:
     study. Returns the exit status."""
     folder = configuration_folder()
     if any(word in ("--help", "-h") for word in overrides):
-        Command(overrides, folder, "study").help()
+        HydraCommandLine(overrides, folder, "study").help()
         return DONE
     if any(word.split("=")[0] in JUST_ASKING for word in overrides):
         hydra_main = hydra.main(version_base="1.3", config_path=str(folder), config_name="study")
@@ -145,7 +145,7 @@ def print_activity(activity: str) -> None:
         print(f"ssm-study: {activity} ...", file=sys.stderr, flush=True)
 
 
-def write_and_open_page(request: Command) -> None:
+def write_and_open_page(request: HydraCommandLine) -> None:
     """Write the report page of a study and open the page in the browser."""
     from ssm_study.report.page.writing import write_page
     from ssm_study.study.line import study_folder
@@ -155,7 +155,7 @@ def write_and_open_page(request: Command) -> None:
     open_page(page)
 
 
-def print_study_summary(request: Command) -> bool:
+def print_study_summary(request: HydraCommandLine) -> bool:
     """Gather and print the results table of a study; return whether a run failed. A single run is
     drawn."""
     return (

@@ -46,7 +46,7 @@ GRIDS = (
 NAME = re.compile(r"\$\{run_name:([^${}]*)\}")
 
 
-class Loader(ConfigLoaderImpl):
+class FastConfigurationLoader(ConfigLoaderImpl):
     """Hydra's configuration loader with a faster listing of the choices in a configuration group.
     It does not copy the files that it has read (`--help` lists a hundred groups)."""
 
@@ -66,7 +66,7 @@ class Loader(ConfigLoaderImpl):
         return [f"{option}*" if option == default else option for option in options]
 
 
-class Command(Hydra):
+class HydraCommandLine(Hydra):
     """Command line of a Hydra application whose configuration files lie in one folder. It does with
     the arguments what `hydra.main` does.
 
@@ -83,7 +83,9 @@ class Command(Hydra):
         if self.asked.config_dir is not None:
             address = f"file://{Path(self.asked.config_dir).absolute()}"
             search_path.prepend(provider="command-line", path=address)
-        super().__init__(task_name=name, config_loader=Loader(config_search_path=search_path))
+        super().__init__(
+            task_name=name, config_loader=FastConfigurationLoader(config_search_path=search_path)
+        )
         GlobalHydra.instance().clear()
         GlobalHydra.instance().initialize(self)
 
@@ -101,7 +103,7 @@ class Command(Hydra):
 
     def help(self) -> None:
         """Print the help of the command line, with the default choices marked by a star."""
-        assert isinstance(self.config_loader, Loader)
+        assert isinstance(self.config_loader, FastConfigurationLoader)
         self.config_loader.defaults = dict(self.config.hydra.runtime.choices)
         self.app_help(self.name, get_args_parser(), self.asked)
 
@@ -267,7 +269,7 @@ class Composer:
         OmegaConf.copy_cache(from_config=self.sweep, to_config=config)
         return config
 
-    def settings(self, overrides: list[str], number: int) -> Settings:
+    def compose_settings(self, overrides: list[str], number: int) -> Settings:
         """Compose the settings of one job of a sweep, without Hydra's section. A value that
         OmegaConf has to resolve costs ten times as much."""
         chosen, values = self._split_overrides(overrides)

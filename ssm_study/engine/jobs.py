@@ -21,7 +21,7 @@ from ssm_study.durable import PATIENCE_S, file_lock
 from ssm_study.engine.compose import Composer, set_hydra_config
 from ssm_study.engine.records import FAILED, FINAL, LOCK, LOST, read_record
 from ssm_study.engine.runs import Outcome, existing_outcome, failure_columns, write_failure
-from ssm_study.engine.server import SERVER_DIED, UNBORN, JobProcess, kill_with_children
+from ssm_study.engine.server import SERVER_DIED, UNBORN, JobProcess, kill_process_tree
 from ssm_study.engine.settings import Settings
 from ssm_study.engine.task import Task, run_folder
 from ssm_study.refusal import BadRequest
@@ -76,7 +76,7 @@ def create_jobs(
     Raises `BadRequest` for a name that leaves the results folder.
     """
     numbered = list(enumerate(overrides, first_number))
-    settings = [composer.settings(words, number) for number, words in numbered]
+    settings = [composer.compose_settings(words, number) for number, words in numbered]
     jobs = []
     for (number, words), of_job in zip(numbered, settings, strict=True):
         folder = run_folder(of_job).absolute()
@@ -137,7 +137,7 @@ def ended_job_outcome(job: Job) -> Outcome:
     assert job.process is not None
     job.process.join()
     kill_job(job)  # what the job started and left behind
-    death = _cause_of_death(job)
+    death = _death_cause_columns(job)
     text = ""
     with contextlib.suppress(OSError):  # it died before it could open its log
         text = (job.folder / LOG).read_text(errors="replace")[-LOG_TAIL:]
@@ -169,8 +169,9 @@ def record_death(
     return Outcome(folder=folder, status=FAILED, did="ran", message=death["error_message"])
 
 
-def _cause_of_death(job: Job) -> dict[str, Any]:
-    """Record columns on the error of a process that was ended by a signal or left no record."""
+def _death_cause_columns(job: Job) -> dict[str, Any]:
+    """Record columns that say why the process of a job died: it was ended by a signal, or left no
+    record."""
     code = job.process.exitcode if job.process else None
     if code is None or code == SERVER_DIED:
         message = "the process that jobs are forked from was killed"
@@ -210,7 +211,7 @@ def kill_job(job: Job) -> None:
     if job.process is None or job.process.pid == UNBORN:
         return
     if job.process.exitcode is None:
-        kill_with_children(job.process.pid)
+        kill_process_tree(job.process.pid)
     else:
         # Its own number may be another process's by now, that of its group not while a member
         # lives.

@@ -47,7 +47,7 @@ class SweepContext(Protocol):
 class Launcher(ABC):
     """Interface of launchers, which run the jobs of a sweep on this machine or on others."""
 
-    parallel_jobs: int
+    max_parallel_jobs: int
 
     @abstractmethod
     def run(self, sweep: SweepContext, jobs: list[Job], composer: Composer) -> None:
@@ -75,7 +75,9 @@ def launch_sweep(
         runners = [partial(task.stages, task.request(job.settings)) for job in to_do]
         finished = len(unique) - len(to_do)
         store = shared_store(sweep.config)
-        print("\n".join(plan_lines(store, runners, len(unique), finished, launcher.parallel_jobs)))
+        print(
+            "\n".join(plan_lines(store, runners, len(unique), finished, launcher.max_parallel_jobs))
+        )
     else:
         launcher.run(sweep, unique, composer)
     ends = {job.folder: job.outcome for job in unique}
@@ -107,7 +109,7 @@ class Processes(Launcher):
             "each job needs at least one thread",
             remedy,
         )
-        has_job = self.parallel_jobs >= 1
+        has_job = self.max_parallel_jobs >= 1
         require(
             has_job,
             "hydra.launcher.n_jobs",
@@ -117,15 +119,15 @@ class Processes(Launcher):
         )
         most = cores if self.n_jobs is not None else max(cores, self.threads)
         require(
-            self.parallel_jobs * self.threads <= most,
+            self.max_parallel_jobs * self.threads <= most,
             "hydra.launcher.n_jobs * threads",
-            f"{self.parallel_jobs} * {self.threads}",
+            f"{self.max_parallel_jobs} * {self.threads}",
             f"this machine gives {cores} cores and oversubscribed jobs run 20 times slower",
             f"keep the product at or below {cores}",
         )
 
     @property
-    def parallel_jobs(self) -> int:  # type: ignore[override]
+    def max_parallel_jobs(self) -> int:  # type: ignore[override]
         """Number of jobs of a sweep that run at the same time."""
         if self.n_jobs is not None:
             return self.n_jobs
@@ -142,12 +144,12 @@ class Processes(Launcher):
         works = [partial(run_job, job, composer, task, context) for job in to_do]
         # Starts with the first job.
         server = Server(works, preload=partial(preload_for_jobs, task, to_do), threads=self.threads)
-        with _sweep_ending_signals(running, server), Progress(total=len(jobs)) as progress:
+        with _end_sweep_on_signals(running, server), Progress(total=len(jobs)) as progress:
             for job in jobs:
                 if job.outcome is not None:
                     progress.count_outcome(job.outcome.status, reused=True)
             while waiting or running:
-                while waiting and len(running) < self.parallel_jobs:
+                while waiting and len(running) < self.max_parallel_jobs:
                     number, ready = waiting.popleft()
                     running.append(ready)
                     ready.process = server.fork_job(number)
@@ -191,7 +193,7 @@ def preload_for_jobs(task: Task[Any], jobs: list[Job]) -> None:
 
 
 @contextlib.contextmanager
-def _sweep_ending_signals(running: list[Job], server: Server) -> Iterator[None]:
+def _end_sweep_on_signals(running: list[Job], server: Server) -> Iterator[None]:
     """Context manager in which Ctrl-C and SIGTERM end a sweep and kill its jobs at once. Their runs
     count as `lost` and run again next time."""
 

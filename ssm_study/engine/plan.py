@@ -15,8 +15,8 @@ from ssm_study.engine.store import MANIFEST, Store
 
 @dataclass(frozen=True)
 class PlannedStages(Stages):
-    """Stand-in for the store of results in a dry run: notes the needed computing steps, and
-    computes none."""
+    """Stand-in for the store of results in a dry run, which only notes the computing steps that a
+    run needs."""
 
     store: Store
     noted: dict[str, StageResult] = field(default_factory=dict)

@@ -39,20 +39,20 @@ class Progress:
     def __exit__(self, *_: object) -> None:
         if self.live:
             self.live.stop()
-        print(self.line(), file=sys.stderr, flush=True)
+        print(self.progress_line(), file=sys.stderr, flush=True)
 
     def count_outcome(self, status: str, reused: bool = False) -> None:
         """Count the outcome of one finished run of a sweep and print the progress."""
         self.counts[status] += 1
         self.reused += reused
-        self._show_line()
+        self._show_progress_line()
 
     def update_running_jobs(self, running: int) -> None:
         """Set the number of running jobs of a sweep and print the progress."""
         self.running = running
-        self._show_line()
+        self._show_progress_line()
 
-    def line(self) -> str:
+    def progress_line(self) -> str:
         """Progress of a sweep in one line: `12/60 runs: 10 ok, 1 infeasible, 1 failed; 8 there
         before; 2 running; 3:20 left`."""
         statuses = (*FINAL, *sorted(set(self.counts) - set(FINAL)))
@@ -76,14 +76,14 @@ class Progress:
             return None
         return (time.monotonic() - self.started) / fresh * remaining
 
-    def _show_line(self) -> None:
+    def _show_progress_line(self) -> None:
         """Update the progress line on a terminal; elsewhere print a new line if the last one is old
         enough."""
         if self.live:
-            self.live.update(Text(self.line()), refresh=True)
+            self.live.update(Text(self.progress_line()), refresh=True)
         elif time.monotonic() - self.spoken > QUIET_S:
             self.spoken = time.monotonic()
-            print(self.line(), file=sys.stderr, flush=True)
+            print(self.progress_line(), file=sys.stderr, flush=True)
 
 
 class ProgressWatcher(Thread):
@@ -112,10 +112,10 @@ class ProgressWatcher(Thread):
             progress.reused = self.there_before
             # Sleeps, yet wakes at once when the sweep is over.
             while not self.over.wait(self.every_s):
-                self._update_counts(progress)
-            self._update_counts(progress)  # the last line is of how it ended
+                self._update_progress(progress)
+            self._update_progress(progress)  # the last line is of how it ended
 
-    def _update_counts(self, progress: Progress) -> None:
+    def _update_progress(self, progress: Progress) -> None:
         """Count the statuses in the run folders of a sweep and print the progress."""
         statuses = self._run_statuses()
         progress.counts = Counter(status for status in statuses if status in FINAL)

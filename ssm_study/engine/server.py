@@ -162,7 +162,7 @@ def _run_server(sweep: Connection, tasks: Sequence[Callable[[], object]], thread
                     os.close(ready)
                     sweep.send((pid, os.waitstatus_to_exitcode(status)))
     for pid in living.values():
-        kill_with_children(pid)
+        kill_process_tree(pid)
     os._exit(0)  # without the sweep's own handlers at exit, which the fork has inherited
 
 
@@ -192,7 +192,7 @@ def _fork_job(sweep: Connection, task: Callable[[], object]) -> int:
         os._exit(status)
 
 
-def kill_with_children(pid: int) -> None:
+def kill_process_tree(pid: int) -> None:
     """Kill a process and all processes that it started."""
     # A group of its own is the first thing it makes, not the birth of it.
     for kill in (os.killpg, os.kill):

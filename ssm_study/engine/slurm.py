@@ -32,7 +32,7 @@ class Slurm(Launcher):
     launcher: Any
 
     @property
-    def parallel_jobs(self) -> int:  # type: ignore[override]
+    def max_parallel_jobs(self) -> int:  # type: ignore[override]
         """Number of jobs of a sweep that Slurm may run at the same time."""
         return int(self.launcher.params["array_parallelism"])
 
@@ -71,7 +71,7 @@ def submitit_executor(params: dict[str, Any]) -> submitit.AutoExecutor:
 def wait_for_outcome(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) -> Outcome:
     """Wait until a job that was submitted to Slurm has ended, and return the outcome of its run. A
     job that Slurm ended becomes a failed run that the same command repeats."""
-    state = wait_for_end(submitted, patience_s)
+    state = wait_for_final_state(submitted, patience_s)
     try:
         if state != FORGOTTEN:
             outcome: Outcome = submitted.results()[0].return_value
@@ -91,7 +91,7 @@ def wait_for_outcome(job: Job, submitted: submitit.Job, patience_s: float = FORG
     return record_death(job.folder, death, problem)
 
 
-def wait_for_end(submitted: submitit.Job, patience_s: float) -> str:
+def wait_for_final_state(submitted: submitit.Job, patience_s: float) -> str:
     """Wait until a job that was submitted to Slurm has ended, and return its state in Slurm's
     words. Without accounting, a job cancelled in the queue is `FORGOTTEN`."""
     asked_at = time.monotonic()

@@ -145,7 +145,7 @@ def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
         yield check_agreement(
             f"{split}.mcap records", pairs, ITERATED, "the configuration gives them"
         )
-        yield from check_start_states(run, records, split)
+        yield from check_initial_states(run, records, split)
     yield DerivedColumns(initial_state_columns(run.model, records, run.model_run.test))
     yield DerivedColumns(member_columns(read_averaged_models(run.path), records))
     if records.mismatch_records or run.mismatch_records:
@@ -190,7 +190,7 @@ def name_value_pairs(
     return {f"{prefix}{number}": pair for number, pair in enumerate(pairs)}
 
 
-def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[CheckedClaim]:
+def check_initial_states(run: RunFiles, records: DataSet, split: str) -> Iterator[CheckedClaim]:
     """Check that free runs of a model start from the kind of initial state that `record.json`
     states.
 

@@ -69,7 +69,9 @@ def check_certificate(run: RunFiles) -> Claims:
     the certificates."""
     design = run.design
     balls = certified_balls(run.model)
-    sentences = failed_checks(run.certificate, run.model.system, balls, requested_system(run))
+    sentences = failed_checks(
+        run.certificate, run.model.system, balls, system_for_state_feedback(run)
+    )
     yield check_unknown_entries(run, "certificate.json", design)
     misfits = [sentence for sentence in sentences if sentence.endswith(UNFIT)]
     if misfits:
@@ -91,10 +93,10 @@ def check_certificate(run: RunFiles) -> Claims:
         facts |= faster_response_column(design, run.model, mismatch, *records)
     facts |= recompute_sine_columns(run, balls, mismatch, facts.get("coverage"))
     yield DerivedColumns(withhold_predictions(facts, run.record.get("evidence")))
-    yield UncheckedValues(columns_of_later_versions(run) | unrepeated_search_reason(run))
+    yield UncheckedValues(missing_column_reasons(run) | unrepeated_search_reason(run))
 
 
-def columns_of_later_versions(run: RunFiles) -> dict[str, str]:
+def missing_column_reasons(run: RunFiles) -> dict[str, str]:
     """Values that the record of a run by an earlier version lacks, each with the reason.
 
     So a column that somebody took out of an older record is named among what is not checked.
@@ -289,7 +291,7 @@ def recompute_sine_columns(
     return facts
 
 
-def requested_system(run: RunFiles) -> System:
+def system_for_state_feedback(run: RunFiles) -> System:
     """System for which a state feedback is to be certified: the model, joined with an internal
     model if there is one.
 

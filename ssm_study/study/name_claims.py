@@ -38,8 +38,9 @@ def expected_run_name(run: RunFiles) -> str:
 
 
 def expected_name_part(part: str, settings: Mapping[str, Any]) -> str:
-    """Replace the value in a part of a run's name (`seed0`) by the value in the settings (`seed3`).
-    A part without a setting is returned as it is. `width` may be that of the model or a plant's."""
+    """Part of a run's name as the run's settings require it: `seed3` for the part `seed0` if the
+    seed is 3. A part without a setting is returned as it is. `width` may be that of the model or a
+    plant's."""
     match = SHOWN.fullmatch(part)
     if match is None:
         return part

@@ -57,7 +57,7 @@ def compare_records(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[li
         pair = (then.get(name), now.get(name))
         if pair != (None, None):
             pairs[name] = pair
-    differing = [name for name, pair in pairs.items() if not _is_equal_to_rounding(*pair)]
+    differing = [name for name, pair in pairs.items() if not _equals_up_to_rounding(*pair)]
     equal = sum(before == after for before, after in pairs.values())
     counts = f"{equal} equal to the last bit, {len(differing)} differ"
     lines = [f"{len(pairs)} columns compared: {counts}"]
@@ -70,9 +70,9 @@ def compare_records(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[li
     return lines, not differing
 
 
-def _is_equal_to_rounding(then: Any, now: Any) -> bool:
-    """Whether two recorded values are equal, or are numbers that differ only by rounding between
-    machines."""
+def _equals_up_to_rounding(then: Any, now: Any) -> bool:
+    """Whether a recorded value is the same in both records, except for rounding errors of numbers,
+    which differ between machines."""
     if then == now:
         return True
     are_numbers = {type(then), type(now)} <= {int, float}

@@ -29,7 +29,7 @@ from ssm_study.study.read_once import read_data_set
 from ssm_study.study.recordings import RecordedCases, read_mismatch_records
 from ssm_study.study.specification import Specification
 from ssm_study.study.stages.free_run import ModelRun
-from ssm_study.study.trials import repeat_trials
+from ssm_study.study.trials import reproduce_trials
 
 # share of the summed impulse response that is left when a plant counts as at rest
 LEFT_AT_REST = 0.02
@@ -113,7 +113,7 @@ class RunFiles:
             records = read_data_set(source, spec.seed)
         else:
             records = source.build(spec.plant, spec.excitation, spec.seed)
-        mismatch_records = (*records.mismatch_records, *repeat_trials(spec, self.path))
+        mismatch_records = (*records.mismatch_records, *reproduce_trials(spec, self.path))
         return replace(records, mismatch_records=mismatch_records)
 
     @cached_property

@@ -120,7 +120,7 @@ def _check_trial_log(record: Trajectory, path: str, step_s: float) -> None:
     require(moves, f"{path} (input)", float(record.u[0, 0]), problem, remedy)
 
 
-def repeat_trials(request: "Specification", run: Path) -> Trajectories:
+def reproduce_trials(request: "Specification", run: Path) -> Trajectories:
     """Read the closed-loop trials of a finished run again from its logs, or simulate them again."""
     if request.refine is None:
         return ()

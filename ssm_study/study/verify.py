@@ -166,7 +166,7 @@ def verify_files(run: RunFiles) -> Verification:
     derived: dict[str, Any] = {}
     repeated: dict[str, str] = {}
     unchecked: dict[str, str] = {}
-    for result in _findings_of_sections(run):
+    for result in _findings_of_checks(run):
         if isinstance(result, CheckedClaim):
             findings.append(result)
         elif isinstance(result, DerivedColumns):
@@ -192,25 +192,26 @@ def verify_files(run: RunFiles) -> Verification:
     return Verification(findings=tuple(findings), unchecked=unchecked)
 
 
-def _findings_of_sections(
+def _findings_of_checks(
     run: RunFiles,
 ) -> Iterator[CheckedClaim | DerivedColumns | UnconfirmableSettings | UncheckedValues]:
     """Results of all checks that apply to a run; an error in a check becomes a failed claim."""
-    for section in (check_form, *_applicable_sections(run)):
+    for section in (check_form, *_applicable_checks(run)):
         try:
             yield from section(run)
         except Exception as error:
             problem = f"{NOT_DERIVED}{error_text(error)}"
-            yield CheckedClaim(claim=section_claim(section.__name__), holds=False, found=problem)
+            yield CheckedClaim(claim=claim_of_section(section.__name__), holds=False, found=problem)
 
 
-def section_claim(function: str) -> str:
-    """Name of the claim that fails when a group of checks ends with an error."""
+def claim_of_section(function: str) -> str:
+    """Name of the claim under which an error in a group of checks is reported, from the name of the
+    checking function."""
     subject = function.removeprefix("check_")
     return SECTION_CLAIMS.get(subject, subject)
 
 
-def _applicable_sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]]:
+def _applicable_checks(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]]:
     """Checking functions of the verification that apply to a run."""
     try:
         return SECTIONS if run.has_certifiable_model else OF_A_BASELINE
@@ -251,13 +252,13 @@ def compare_column(name: str, stored: Any, value: Any) -> CheckedClaim:
     value = storable_value(
         name, value
     )  # as a record holds it: an infinite margin is the text `inf`
-    if _is_equal_to_rounding(stored, value, column):
+    if _equals_up_to_rounding(stored, value, column):
         return CheckedClaim(claim=name, holds=True, found=f"{value}")
     observation = f"derived {value}, stored {_short_text(stored)}"
     return CheckedClaim(claim=name, holds=False, found=observation)
 
 
-def _is_equal_to_rounding(stored: Any, value: Any, column: Column) -> bool:
+def _equals_up_to_rounding(stored: Any, value: Any, column: Column) -> bool:
     """Whether a stored value equals the recomputed one, except for rounding errors of numbers,
     which differ between machines."""
     if isinstance(value, float) and type(stored) in (int, float):

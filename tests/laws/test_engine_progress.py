@@ -22,7 +22,7 @@ def test_the_line_counts_and_foresees(capsys: pytest.CaptureFixture[str]) -> Non
         progress.started -= 30.0  # three fresh runs in half a minute, six to go
         assert progress.seconds_left() == pytest.approx(60, abs=1)
         assert (
-            progress.line()
+            progress.progress_line()
             == "4/10 runs: 2 ok, 1 infeasible, 1 failed; 1 there before; 2 running; 1:00 left"
         )
     assert "4/10 runs" in capsys.readouterr().err

@@ -23,10 +23,10 @@ from ssm_study.study.verify import (
     UNGIVEN,
     UNREACHED,
     Verification,
+    claim_of_section,
     compare_column,
     finding_lines,
     judge_column,
-    section_claim,
     verify_files,
 )
 
@@ -191,7 +191,7 @@ CLAIMS = {"check_settings": "requested", "check_fits": "fits", "check_loops": "l
 
 
 def test_a_section_is_called_by_what_it_is_about() -> None:
-    subjects = {function: section_claim(function) for function in CLAIMS}
+    subjects = {function: claim_of_section(function) for function in CLAIMS}
     assert subjects == CLAIMS
 
 

@@ -23,9 +23,9 @@ from ssm_study.study.design_claims import (
     COVERAGE_COLUMNS,
     check_internal_model,
     check_stored_certificate,
-    columns_of_later_versions,
     is_coverage_search_repeated,
     lacks_coverage,
+    missing_column_reasons,
     stored_number_errors,
     unrepeated_search_reason,
 )
@@ -147,26 +147,26 @@ OLD = VERSION - 1
 
 def test_an_older_record_is_told_what_it_need_not_have() -> None:
     run = versioned(OLD, coverage=1.0)
-    columns = columns_of_later_versions(run)
+    columns = missing_column_reasons(run)
     expected = ["predicted_faster", "sine_margin", "sine_coverage"]
     assert list(columns) == expected
     names = set(columns.values())
     assert names == {f"a record of version {OLD} need not have it"}
     run = versioned(OLD)
-    uncovered = columns_of_later_versions(run)
+    uncovered = missing_column_reasons(run)
     expected = ["predicted_faster", "sine_margin", *COVERAGE_COLUMNS]
     assert list(uncovered) == expected
     run = versioned(OLD, sines=False, coverage=1.0)
-    without_sines = columns_of_later_versions(run)
+    without_sines = missing_column_reasons(run)
     assert list(without_sines) == ["predicted_faster"]
     run = versioned(OLD, feasible=False)
-    actual = columns_of_later_versions(run)
+    actual = missing_column_reasons(run)
     assert actual == {}
     run = versioned(VERSION)
-    actual = columns_of_later_versions(run)
+    actual = missing_column_reasons(run)
     assert actual == {}
     run = versioned(OLD, coverage=1.0, sine_margin=2.0)
-    stated = columns_of_later_versions(run)
+    stated = missing_column_reasons(run)
     expected = ["predicted_faster", "sine_coverage"]
     assert list(stated) == expected
 
