@@ -14,7 +14,7 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.api.arguments import Slopes
-from ssm_study.api.controlling import slope_ball
+from ssm_study.api.controlling import jacobian_ball_of_slopes
 from ssm_study.api.design import Design
 from ssm_study.api.known_maps import describe_slope_range
 from ssm_study.api.loop_of_both import add_loop_verdict, describe_loop_verdict, unstable_loop_text
@@ -24,7 +24,7 @@ from ssm_study.api.missing_rate import (
     spectral_radius,
 )
 from ssm_study.api.summaries import html_table, rate_text, render_text_table
-from ssm_study.api.systems import read_columns, read_linear_system, read_matrix
+from ssm_study.api.systems import read_linear_system, read_matrix, read_matrix_or_vector
 from ssm_study.certificates.certificate import GainTheorem
 from ssm_study.certificates.decay_time import decay_time_text
 from ssm_study.certificates.frontier import contraction_frontier
@@ -251,10 +251,10 @@ def certify(
     if K is not None:
         has_input_matrix = B is not None
         require(has_input_matrix, "B", None, "a state feedback needs it", "give the input matrix")
-        b = read_columns("B", B, (n, None))
+        b = read_matrix_or_vector("B", B, (n, None))
         inputs = b.shape[1]
         k = read_matrix("K", K, (inputs, n))
-        jacobian_ball = slope_ball("slopes", slopes)
+        jacobian_ball = jacobian_ball_of_slopes("slopes", slopes)
         controller = certify_gain(a, b, k, jacobian_ball, StateFeedbackOfBall)
         controller = replace(controller, slopes=(float(slopes[0]), float(slopes[1])))
     if L is not None:
@@ -262,8 +262,8 @@ def certify(
         require(has_output_matrix, "C", None, "an observer needs it", "give the output matrix")
         c = read_matrix("C", C, (None, n))
         outputs = len(c)
-        gain = read_columns("L", L, (n, outputs))
-        ball = slope_ball("output_slopes", output_slopes)
+        gain = read_matrix_or_vector("L", L, (n, outputs))
+        ball = jacobian_ball_of_slopes("output_slopes", output_slopes)
         observer = certify_gain(a.T, c.T, gain.T, ball, ObserverOfBall)
         output_range = (float(output_slopes[0]), float(output_slopes[1]))
         observer = replace(observer, slopes=output_range)

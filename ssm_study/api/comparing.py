@@ -88,7 +88,7 @@ def compare(
     >>> bool(st.compare({"linear": model}, u, y[:800]).table.loc["linear", "fit_percent"] > 95)
     True
     """
-    named = read_models(models)
+    named = named_models(models)
     first = next(iter(named.values()))
     if start_up_samples is None:
         start_ups = (model.data.start_up_samples for model in named.values())
@@ -115,7 +115,7 @@ def compare(
     )
 
 
-def read_models(models: Any) -> dict[str, Model]:
+def named_models(models: Any) -> dict[str, Model]:
     """Read models by name from a mapping, a list or a single model. Raises `BadRequest` for any
     other value."""
     if isinstance(models, Model):

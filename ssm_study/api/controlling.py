@@ -15,7 +15,7 @@ from ssm_study.api.systems import (
     read_linear_system,
     read_number,
     read_numbers,
-    read_positive_slopes,
+    read_positive_slope_range,
 )
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import SIDES, Infeasible
@@ -219,9 +219,9 @@ def _design_for_system(
     linear, step_s = read_linear_system(system)
     model = SSM.from_linear(linear, step_s)
     input_slopes = IDENTITY if slopes is None else slopes
-    inner = slope_ball("slopes", input_slopes)
+    inner = jacobian_ball_of_slopes("slopes", input_slopes)
     slopes_of_output = IDENTITY if output_slopes is None else output_slopes
-    outer = slope_ball("output_slopes", slopes_of_output)
+    outer = jacobian_ball_of_slopes("output_slopes", slopes_of_output)
     inward = _linear_map(inner, model.scale.inputs)
     outward = _linear_map(outer, model.scale.outputs)
     model = replace(model, scaffold_in=inward, scaffold_out=outward)
@@ -258,8 +258,8 @@ def replace_setting_names_in_advice(certificate: Certificates) -> Certificates:
     return replace(certificate, **sides)
 
 
-def slope_ball(name: str, slopes: Slopes) -> JacobianBall:
+def jacobian_ball_of_slopes(name: str, slopes: Slopes) -> JacobianBall:
     """Ball of matrices that contains all Jacobians of a static map with given smallest and largest
     slope."""
-    lower, upper = read_positive_slopes(name, slopes)
+    lower, upper = read_positive_slope_range(name, slopes)
     return JacobianBall.from_slopes(lower, upper)

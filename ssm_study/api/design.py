@@ -13,7 +13,7 @@ from jaxtyping import Complex, Float
 
 from ssm_study import save_as_run
 from ssm_study.api.arguments import Values
-from ssm_study.api.design_files import read_stored_design, write_records
+from ssm_study.api.design_files import read_stored_design, write_export_records
 from ssm_study.api.known_maps import refuse_unknown_maps, unknown_map_ranges, warn_of_unknown_maps
 from ssm_study.api.loop_of_both import add_loop_verdict
 from ssm_study.api.model import Model, draw_or_refuse
@@ -86,7 +86,7 @@ class Design:
         (folder / "model.json").write_text(content + "\n", encoding="utf-8")
         self.certificate.save(folder / "certificate.json")
         if self.origin is not None:
-            write_records(self.origin.data, folder)
+            write_export_records(self.origin.data, folder)
         return folder
 
     @property

@@ -35,7 +35,7 @@ def read_stored_design(folder: Path) -> dict[str, Any]:
     return {"certificate": certificate, "model": model, "stored_record": record}
 
 
-def write_records(data: DataSet, folder: Path) -> None:
+def write_export_records(data: DataSet, folder: Path) -> None:
     """Write the training inputs and the validation outputs of a data set, from which an export
     takes signal ranges and names."""
     metadata = {"step_s": repr(data.step_s)}

@@ -88,7 +88,7 @@ class Estimator:
     def predict(self, u: Values, disturbance: Values | None = None) -> Values:
         """Simulate the outputs of the identified model from its equilibrium. Raises `BadRequest`
         before `fit`."""
-        model = self._require_model()
+        model = self._fitted_model()
         return model.predict(u, disturbance)
 
     def score(self, u: Values, y: Values, disturbance: Values | None = None) -> float:
@@ -98,10 +98,10 @@ class Estimator:
         Measured disturbances stay at their mean where they are not given. Raises `BadRequest`
         before `fit`, and for a record that is no longer than its start.
         """
-        model = self._require_model()
+        model = self._fitted_model()
         return model.score(u, y, disturbance, start_up_samples=self.start_up_samples)
 
-    def _require_model(self) -> Model:
+    def _fitted_model(self) -> Model:
         """Identified model of a fitted estimator. Raises `BadRequest` before `fit`."""
         if not hasattr(self, "model_"):
             raise BadRequest("estimator", "Estimator", "is not fitted", "call fit(u, y) first")

@@ -12,7 +12,7 @@ from ssm_study.api.model import Model
 from ssm_study.api.parts import StudyParts
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.steps import identify_model
-from ssm_study.api.systems import read_path, read_slopes
+from ssm_study.api.systems import read_path, read_slope_range
 from ssm_study.data.arrays import index_period_s, write_log_files
 from ssm_study.refusal import NO_NUMBERS, BadRequest, require, require_positive
 from ssm_study.signals import DataSet
@@ -100,7 +100,7 @@ def fit(
         "model", order=order, neurons=neurons, feedthrough=feedthrough, **settings
     )
     if slopes is not None:
-        slope_lower, slope_upper = read_slopes("slopes", slopes)
+        slope_lower, slope_upper = read_slope_range("slopes", slopes)
         parts.change_settings("model", slope_lower=slope_lower, slope_upper=slope_upper)
     if seed is not None:
         parts.numbers["seed"] = seed

@@ -99,7 +99,7 @@ def _load_default(group: str, entry: Any) -> Tree:
     tree: Tree = {}
     nested_settings = load_choice(nested, str(choice))
     replacement = ReplacementSettings(deepcopy(nested_settings))
-    assign_nested(tree, place, replacement)
+    assign_creating_levels(tree, place, replacement)
     return tree
 
 
@@ -135,7 +135,7 @@ def assign_value(tree: Tree, path: str, value: Any) -> None:
     place[last] = value
 
 
-def assign_nested(tree: Tree, path: str, value: Any) -> None:
+def assign_creating_levels(tree: Tree, path: str, value: Any) -> None:
     """Assign a value to the setting at a dotted path, and create the levels that do not exist
     yet."""
     *parents, last = path.split(".")

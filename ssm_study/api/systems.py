@@ -70,7 +70,9 @@ def read_matrix(
     return matrix
 
 
-def read_columns(name: str, values: Any, shape: tuple[int, int | None]) -> Float[np.ndarray, "r c"]:
+def read_matrix_or_vector(
+    name: str, values: Any, shape: tuple[int, int | None]
+) -> Float[np.ndarray, "r c"]:
     """Read a finite matrix with a given number of rows; a vector is read as a single column."""
     numbers = read_numbers(name, values, "is no matrix of numbers")
     if numbers.shape == shape[:1]:
@@ -101,7 +103,7 @@ def read_numbers(
         raise BadRequest(name, kind, problem, remedy) from error
 
 
-def read_slopes(name: str, slopes: Any) -> tuple[float, float]:
+def read_slope_range(name: str, slopes: Any) -> tuple[float, float]:
     """Read the smallest and the largest slope of a static map from a pair of numbers. Raises
     `BadRequest` unless they are a pair of finite numbers."""
     pair = read_numbers(name, slopes)
@@ -114,10 +116,10 @@ def read_slopes(name: str, slopes: Any) -> tuple[float, float]:
     return lower, upper
 
 
-def read_positive_slopes(name: str, slopes: Any) -> tuple[float, float]:
+def read_positive_slope_range(name: str, slopes: Any) -> tuple[float, float]:
     """Read a range of positive slopes of a static map. Raises `BadRequest` with the reason for any
     other: a descending pair, and one that holds zero or negative slopes."""
-    lower, upper = read_slopes(name, slopes)
+    lower, upper = read_slope_range(name, slopes)
     swapped = f"give ({upper:g}, {lower:g})"
     require(lower <= upper, name, slopes, "are descending: the lowest comes first", swapped)
     problem = "are negative"
@@ -175,7 +177,7 @@ def _build_state_space(matrices: list[Any]) -> StateSpace:
     n = len(a)
     require(a.size > 0, "A (shape)", a.shape, "there are no states to control", FORMS)
     a = read_matrix("A", a, (n, n))
-    b = read_columns("B", matrices[1], (n, None))
+    b = read_matrix_or_vector("B", matrices[1], (n, None))
     c = read_matrix("C", matrices[2], (None, n))
     d = read_matrix("D", matrices[3], (len(c), b.shape[1]))
     return StateSpace(a=a, b=b, c=c, d=d)

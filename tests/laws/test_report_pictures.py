@@ -10,7 +10,7 @@ from report_runs import random_model, random_run, write_recordings
 
 from ssm_study import style
 from ssm_study.api.pictures.bode import bode_picture, input_map_gain_ratio
-from ssm_study.api.pictures.coverage import coverage_requirement_text
+from ssm_study.api.pictures.coverage import smallest_coverage_record_text
 from ssm_study.api.pictures.drawing import draw_picture
 from ssm_study.api.pictures.margin import amplitude_text
 from ssm_study.api.pictures.picture import (
@@ -126,11 +126,15 @@ def test_amplitudes_and_places_are_printed_in_physical_units() -> None:
     assert amplitude_text(0.5, None) == "input of rms 0.5 input scales"
     labels = {"input of rms 0.5": "input of rms 2 V"}
     step_s = 0.01
-    words = coverage_requirement_text("input of rms 0.5, 0.31 to 0.63 rad/sample", labels, step_s)
+    words = smallest_coverage_record_text(
+        "input of rms 0.5, 0.31 to 0.63 rad/sample", labels, step_s
+    )
     assert words == "input of rms 2 V, 4.93 to 10 Hz"
-    words = coverage_requirement_text("input of rms 0.5, around 0.00 rad/sample", labels, step_s)
+    words = smallest_coverage_record_text(
+        "input of rms 0.5, around 0.00 rad/sample", labels, step_s
+    )
     assert words == "input of rms 2 V, the lowest frequencies"
-    requirement = coverage_requirement_text("input of rms 0.5, in total", labels, step_s)
+    requirement = smallest_coverage_record_text("input of rms 0.5, in total", labels, step_s)
     assert requirement == "input of rms 2 V, in total"
 
 

@@ -11,7 +11,7 @@ from ssm_study.api.pictures.bode import bode_picture
 from ssm_study.api.pictures.free_run import free_run_picture
 from ssm_study.api.pictures.input_map import input_map_picture
 from ssm_study.api.pictures.margin import margin_picture
-from ssm_study.api.pictures.nyquist import loop_responses, nyquist_picture
+from ssm_study.api.pictures.nyquist import nyquist_picture, plant_and_controller_responses
 from ssm_study.api.pictures.picture import NothingToShow
 from ssm_study.bounds.frequency import frequency_response
 from ssm_study.bounds.slopes import certified_balls
@@ -126,7 +126,7 @@ def test_the_nyquist_curve_is_that_of_controller_and_plant() -> None:
     """`T_ue = C / (1 - P C)` by the loop's own state space."""
     model, gains = model_and_gains()
     angles = np.array([0.01, 0.3, 2.0])
-    plant, controller = loop_responses(model, gains, angles)
+    plant, controller = plant_and_controller_responses(model, gains, angles)
     slope_in = float(model.scaffold_in.jacobian(np.zeros(1))[0, 0])
     slope_out = float(model.scaffold_out.jacobian(np.zeros(1))[0, 0])
     state_space = error_to_input_response(model.linear, gains, slope_in, slope_out)

@@ -49,7 +49,7 @@ def coverage_picture(
     rows = [row for row in table if row.need]
     if not rows:
         raise NothingToShow("The records show no model error in any band.")
-    labels = record_names(premise, input_scale)
+    labels = printed_record_names(premise, input_scale)
     series = _coverage_curves(rows, part.kappa, step_s, labels)
     requirements = premise.requirements(part.centre)
     need, where = weights.largest_required_radius(requirements)
@@ -59,7 +59,7 @@ def coverage_picture(
         dot = _smallest_coverage_dot(band, part.kappa, step_s)
         series.append(dot)
     verdict = "covered" if coverage >= 1 else "not covered"
-    deciding = coverage_requirement_text(where, labels, step_s)
+    deciding = smallest_coverage_record_text(where, labels, step_s)
     title = f"Coverage {_format_coverage(coverage)}, {verdict}; decided by: {deciding}"
     guide_line = GuideLine(y=1.0, dashed=False, name="1: below, not covered")
     rules = (guide_line,)
@@ -76,7 +76,9 @@ def coverage_picture(
     return Picture(title=title, panels=(panel,), wide=True)
 
 
-def record_names(premise: ModelErrorSpectra, input_scale: InputScale | None) -> dict[str, str]:
+def printed_record_names(
+    premise: ModelErrorSpectra, input_scale: InputScale | None
+) -> dict[str, str]:
     """Printed name of each record, with the amplitude of the record's input in physical units."""
     spectra: list[MismatchSpectrum | AveragedSpectrum] = [*premise.repeating, *premise.averaged]
     spectra += premise.sines
@@ -87,7 +89,7 @@ def record_names(premise: ModelErrorSpectra, input_scale: InputScale | None) -> 
     }
 
 
-def coverage_requirement_text(requirement: str, labels: dict[str, str], step_s: float) -> str:
+def smallest_coverage_record_text(requirement: str, labels: dict[str, str], step_s: float) -> str:
     """Text that names, in physical units, the record and frequency band where the ratio of
     tolerated to measured model error is smallest."""
     record, _, place = requirement.partition(", ")
@@ -113,11 +115,11 @@ def _coverage_curves(
         dash_number = i % len(DASH_CYCLE)
         look["dashes"] = DASH_CYCLE[dash_number]
         label = labels.get(record, record)
-        series += _coverage_curve(own, kappa, step_s, label, look)
+        series += _record_coverage_curve(own, kappa, step_s, label, look)
     return series
 
 
-def _coverage_curve(
+def _record_coverage_curve(
     rows: list[CoverageBand], kappa: float, step_s: float, name: str, look: dict[str, Any]
 ) -> list[Series]:
     """Curve of the coverage (tolerated over measured model error) of one record by frequency

@@ -72,7 +72,7 @@ def _error_panel(errors: list[Series], label: str) -> PicturePanel:
     drawn_errors = tuple(errors) if are_several else _recolour_single_error(errors)
     return PicturePanel(
         x_label="Time (s)",
-        y_label=f"Error{_label_unit(label)}",
+        y_label=f"Error{_unit_in_label(label)}",
         series=drawn_errors,
         rules=(zero,),
         height=0.7,
@@ -93,7 +93,7 @@ def _recolour_single_error(errors: list[Series]) -> tuple[Series, ...]:
     return tuple(recoloured)
 
 
-def _label_unit(label: str) -> str:
+def _unit_in_label(label: str) -> str:
     """Unit at the end of an axis label, with its parentheses."""
     return f" ({label.rpartition('(')[2]}" if "(" in label else ""
 

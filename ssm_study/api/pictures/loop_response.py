@@ -51,8 +51,8 @@ def initial_response_picture(
     columns = max(output_count, input_count)
     upper = []
     for j, channel in enumerate(plant.outputs):
-        open_loop = _case_curves(uncontrolled, "y", j, "open loop", style.GREY)
-        closed = _case_curves(controlled, "y", j, "under control", style.BLUE)
+        open_loop = _curves_of_initial_states(uncontrolled, "y", j, "open loop", style.GREY)
+        closed = _curves_of_initial_states(controlled, "y", j, "under control", style.BLUE)
         series = (*open_loop, *closed)
         axis_label = channel_label(channel)
         panel = PicturePanel(x_label="Time (s)", y_label=axis_label, series=series)
@@ -207,7 +207,9 @@ def _first_output_change_s(run: Rollouts) -> float:
     return float(run.time_s[first_moved])
 
 
-def _case_curves(runs: Rollouts, signal: str, j: int, name: str, colour: str) -> tuple[Series, ...]:
+def _curves_of_initial_states(
+    runs: Rollouts, signal: str, j: int, name: str, colour: str
+) -> tuple[Series, ...]:
     """Curves of one signal from all initial states; only the first curve has a legend entry."""
     values = getattr(runs, signal)
     mark: Any = "steps" if signal == "u" else "line"
@@ -239,7 +241,7 @@ def _input_panels(
             guide_line = GuideLine(y=float(lowest), name="recorded range")
             y = float(values.max())
             rules = (guide_line, GuideLine(y=y))
-        series = _case_curves(runs, "u", j, "input", style.VERMILLION)
+        series = _curves_of_initial_states(runs, "u", j, "input", style.VERMILLION)
         axis_label = channel_label(channel)
         panel = PicturePanel(x_label="Time (s)", y_label=axis_label, series=series, rules=rules)
         panels.append(panel)

@@ -32,7 +32,7 @@ def nyquist_picture(model: Model, gains: Gains, mismatch: Mismatch | None) -> Pi
     inputs = model.scale.inputs
     if inputs != 1 or model.scale.outputs != 1:
         raise NothingToShow("A Nyquist curve is drawn for one input and one output.")
-    plant, controller = loop_responses(model, gains, FINE_ANGLES)
+    plant, controller = plant_and_controller_responses(model, gains, FINE_ANGLES)
     loop = -plant * controller
     model_curve = _visible_curve(loop, "model", style.BLUE)
     series = [model_curve]
@@ -65,7 +65,7 @@ def nyquist_picture(model: Model, gains: Gains, mismatch: Mismatch | None) -> Pi
     return Picture(title=title, panels=(panel,))
 
 
-def loop_responses(
+def plant_and_controller_responses(
     model: Model, gains: Gains, angles: Float[np.ndarray, "F"]
 ) -> tuple[Complex[np.ndarray, "F"], Complex[np.ndarray, "F"]]:
     """Frequency responses of plant and controller in the closed loop. `C = T_ue / (1 + P T_ue)`."""
@@ -92,7 +92,7 @@ def _nearest_discs(
     that lies farther away counts: either is sufficient.
     """
     angles = np.maximum(ANGLES, 1e-4)
-    plant, controller = loop_responses(model, gains, angles)
+    plant, controller = plant_and_controller_responses(model, gains, angles)
     nearest: tuple[Series, float] | None = None
     for view in views:
         linear_part = 0 * view.linear

@@ -6,7 +6,7 @@ from contextlib import suppress
 
 import pandas as pd
 
-from ssm_study.api.pictures.coverage import AMPLITUDE, coverage_requirement_text
+from ssm_study.api.pictures.coverage import AMPLITUDE, smallest_coverage_record_text
 from ssm_study.api.pictures.margin import InputScale, amplitude_text
 from ssm_study.report.study_folder import RunFolder, StudyFolder
 
@@ -44,7 +44,7 @@ def coverage_reference_text(text: str, run: RunFolder | None, unit: str) -> str:
     labels = {record: amplitude_text(float(number[0]), known_scale)}
     if step_s is None:
         return text.replace(record, labels[record], 1)
-    return coverage_requirement_text(text, labels, step_s)
+    return smallest_coverage_record_text(text, labels, step_s)
 
 
 def read_input_scale_and_step(run: RunFolder) -> tuple[float | None, float | None]:
