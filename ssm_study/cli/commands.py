@@ -15,7 +15,7 @@ from typing import Any
 
 from ssm_study.cli.browser import open_page, page_link
 from ssm_study.cli.exit_status import DONE, SOME_FAILED
-from ssm_study.cli.new_study import write_study
+from ssm_study.cli.new_study import write_study_template
 from ssm_study.cli.paper_figures import PAPER_FIGURES
 from ssm_study.refusal import require, require_at_least
 
@@ -43,7 +43,7 @@ def run_command_on_folder(
 
 def write_new_study(options: argparse.Namespace) -> None:
     """Write the folder of a new study and print the names of the written files."""
-    print(*write_study(options.folder), sep="\n")
+    print(*write_study_template(options.folder), sep="\n")
 
 
 def look_at_log(options: argparse.Namespace) -> None:

@@ -22,7 +22,7 @@ def storage_error(field: str, error: OSError, default_path: str) -> BadRequest:
     return BadRequest(field, error.filename or default_path, problem, remedy)
 
 
-def describe_error(error: Exception, arguments: list[str]) -> BadRequest:
+def error_as_bad_request(error: Exception, arguments: list[str]) -> BadRequest:
     """Describe in one sentence the error that ended a command."""
     command = " ".join(arguments)
     if isinstance(error, BadRequest):

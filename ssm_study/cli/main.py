@@ -8,7 +8,7 @@ from io import TextIOWrapper
 
 from ssm_study import limit_threads
 from ssm_study.cli.commands import Command
-from ssm_study.cli.exit_status import DONE, WRONG_REQUEST, describe_error
+from ssm_study.cli.exit_status import DONE, WRONG_REQUEST, error_as_bad_request
 from ssm_study.cli.parser import build_parser
 from ssm_study.extensions import pop_extension_option
 from ssm_study.refusal import BadRequest
@@ -46,7 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
             return DONE
         if "SSM_STUDY_TRACEBACK" in os.environ and not isinstance(error, (BadRequest, OSError)):
             raise
-        print(f"ssm-study: {describe_error(error, arguments)}", file=sys.stderr)
+        print(f"ssm-study: {error_as_bad_request(error, arguments)}", file=sys.stderr)
         return WRONG_REQUEST
 
 

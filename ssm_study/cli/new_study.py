@@ -9,7 +9,7 @@ from ssm_study.refusal import require
 TEMPLATE = Path(__file__).with_name("study_folder")
 
 
-def write_study(folder: Path) -> list[Path]:
+def write_study_template(folder: Path) -> list[Path]:
     """Write the folder of a new study from a template, and return the written files.
 
     The folder's name becomes the name of a Python package. Raises `BadRequest` for one that cannot,

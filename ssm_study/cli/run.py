@@ -80,7 +80,7 @@ def run(overrides: list[str]) -> int:
     os.environ["HYDRA_FULL_ERROR"] = "1"
     sys.argv = ["ssm-study run", *overrides]
     try:
-        return answer_request(overrides, opens)
+        return execute_request(overrides, opens)
     except (HydraException, OmegaConfBaseException) as error:
         raise explain_hydra_error(error, overrides, configuration_folder()) from error
     except ValueError as error:
@@ -103,7 +103,7 @@ def results_folder(overrides: list[str]) -> str:
     return named[-1] if named else "results"
 
 
-def answer_request(overrides: list[str], opens_page: bool) -> int:
+def execute_request(overrides: list[str], opens_page: bool) -> int:
     """Do what a `run` command requests: print the help, print Hydra's information, or run the
     study. Returns the exit status."""
     folder = configuration_folder()

@@ -94,14 +94,14 @@ def outcome_text(record: Mapping[str, Any]) -> Text:
         return Text(unfinished)
     verdict = verdict_per_run(pd.DataFrame([dict(record)])).iloc[0]
     settles = verdict in (SETTLED, NO_FASTER)
-    where = ", on the identified model" if settles and not _is_on_plant(record) else ""
+    where = ", on the identified model" if settles and not _is_loop_on_plant(record) else ""
     sentence = f"{verdict.word}: {verdict.sentence}{where}"
     if record.get("evidence") != CANNOT_JUDGE:
         return Text(sentence, style=verdict.style)
     return Text(f"cannot judge: the evidence allows no judgement. {sentence}", style="bold yellow")
 
 
-def _is_on_plant(record: Mapping[str, Any]) -> bool:
+def _is_loop_on_plant(record: Mapping[str, Any]) -> bool:
     """Whether a run's loop was closed on a plant rather than on the identified model. A log has no
     plant, even if no loop was closed."""
     is_log = record.get("loop_on") is None and "plant" in record and record["plant"] is None
@@ -110,7 +110,7 @@ def _is_on_plant(record: Mapping[str, Any]) -> bool:
 
 def loop_place_text(record: Mapping[str, Any]) -> str:
     """Text that says where a run's loop was closed: `simulated plant` or `identified model`."""
-    if not _is_on_plant(record):
+    if not _is_loop_on_plant(record):
         return "identified model"
     place = record.get("loop_on")
     return "simulated plant" if place in (None, "plant") else str(place)
@@ -224,7 +224,7 @@ def proved_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
 
 def input_limit_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row]:
     """Rows of a run's printed results on the contraction rate that is proved under input limits."""
-    label = LIMITS_OF[_is_on_plant(record)]
+    label = LIMITS_OF[_is_loop_on_plant(record)]
     if record.get("neurons") and record.get("controller_certified"):
         yield "neurons", label, "nothing is proved: the theorems on limits know no neurons"
     if "controller" in facts.own_theorems and record.get("limit_lower") is None:
@@ -309,7 +309,7 @@ def prediction_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     """Rows of a run's printed results on the plant's behaviour as model and records predict it."""
     level = str(record.get("evidence"))
     yield "evidence", "Evidence", evidence_text(level, record.get("evidence_reasons"), NOTES)
-    label = "Prediction for the plant" if _is_on_plant(record) else "Prediction"
+    label = "Prediction for the plant" if _is_loop_on_plant(record) else "Prediction"
     if record.get("evidence") == CANNOT_JUDGE:
         yield "evidence", label, "none: the evidence allows no judgement"
         return
@@ -326,7 +326,7 @@ def prediction_rows(record: Mapping[str, Any]) -> Iterator[Row]:
         grounds = f"single sines show more than the other records (margin {margin})"
     words = f"{word}: {grounds}{refit_text(record)}" if grounds else word
     yield "predicted_stable", label, words
-    if sine_margin is None and _is_on_plant(record):
+    if sine_margin is None and _is_loop_on_plant(record):
         yield from earlier_version_rows(record, "Single sines")
 
 

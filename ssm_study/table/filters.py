@@ -39,7 +39,7 @@ def filter_rows(table: pd.DataFrame, expression: str) -> pd.DataFrame:
     prepared = ast.unparse(preparation.visit(tree))
     missing = {f"{name}{IS_MISSING}": values.isna() for name, values in table.items()}
     try:
-        comparable = _as_comparable(table)
+        comparable = _with_comparable_values(table)
         selected = comparable.eval(prepared, engine="python", resolvers=[missing])
     except Exception as error:  # whatever pandas meets in an expression that it does not take
         problem = str(error)
@@ -49,7 +49,7 @@ def filter_rows(table: pd.DataFrame, expression: str) -> pd.DataFrame:
     return table[selected]
 
 
-def _as_comparable(table: pd.DataFrame) -> pd.DataFrame:
+def _with_comparable_values(table: pd.DataFrame) -> pd.DataFrame:
     """Copy of a table with NaN for missing numbers and texts, and false for missing truth
     values."""
     columns: dict[Any, Any] = {}

@@ -194,8 +194,8 @@ def render_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH)
     settled_text = settled_text + "/" + case_count
     varied, telling = _varied_settings(table)
     run = short_run_names(table["run"])
-    certified_words = certificate_words(table)
-    prediction = prediction_words(table)
+    certified_words = certificate_verdicts(table)
+    prediction = prediction_verdicts(table)
     table = table.assign(
         run=run, certified=certified_words, settled=settled_text, predicted_stable=prediction
     )
@@ -223,7 +223,7 @@ def render_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH)
     return "\n".join(lines)
 
 
-def certificate_words(table: pd.DataFrame) -> pd.Series:
+def certificate_verdicts(table: pd.DataFrame) -> pd.Series:
     """Verdict on the certificates of each run of a table, in one word; missing for a run without
     certificates."""
     controller = table["controller_certified"]
@@ -246,7 +246,7 @@ def short_column_heading(name: str) -> str:
     return short or name.rpartition("__")[-1]
 
 
-def prediction_words(table: pd.DataFrame) -> pd.Series:
+def prediction_verdicts(table: pd.DataFrame) -> pd.Series:
     """Prediction of stability of each run as a word, marked where the evidence is doubtful."""
     words_of_verdicts = {True: "yes", False: "no"}
     words = table["predicted_stable"].map(words_of_verdicts).astype("string")

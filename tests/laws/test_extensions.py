@@ -17,7 +17,7 @@ from omegaconf import OmegaConf
 from ssm_study import extensions
 from ssm_study.certificates.theorem import find_theorem
 from ssm_study.cli.main import main
-from ssm_study.cli.new_study import write_study
+from ssm_study.cli.new_study import write_study_template
 from ssm_study.data import readers
 from ssm_study.data.readers.reader import Reader
 from ssm_study.refusal import BadRequest
@@ -225,10 +225,10 @@ def test_no_other_folder_is_trusted(tmp_path: Path, name: str, made: bool, said:
 def test_new_refuses(tmp_path: Path) -> None:
     for name, said in (("Two Words", "cannot name a package"), ("json", "an installed package")):
         with pytest.raises(BadRequest, match=said):
-            write_study(tmp_path / name)
-    write_study(tmp_path / "mine")
+            write_study_template(tmp_path / name)
+    write_study_template(tmp_path / "mine")
     with pytest.raises(BadRequest, match="exists"):
-        write_study(tmp_path / "mine")
+        write_study_template(tmp_path / "mine")
 
 
 @pytest.mark.usefixtures("trusting")

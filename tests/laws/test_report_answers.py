@@ -6,7 +6,7 @@ import report_tables
 import scipy
 
 from ssm_study.report.answers import question_answers, swept_settings_line
-from ssm_study.report.page.charts import panel_contents, unplotted_answers
+from ssm_study.report.page.charts import scatter_plot_contents, unplotted_answers
 from ssm_study.report.page.data import comparable_columns, page_title
 from ssm_study.report.page.failures import merge_number_ranges
 from ssm_study.table.columns import swept_settings
@@ -86,7 +86,7 @@ def test_what_a_study_can_show_of_the_prediction_is_counted_by_model() -> None:
 def test_an_answer_stands_once_with_its_plot_or_in_words_where_it_has_none() -> None:
     table = report_tables.table(40)
     answered = question_answers(table)
-    plots = panel_contents(table, answered)
+    plots = scatter_plot_contents(table, answered)
     titles = [panel["question"] for panel in plots]
     assert "What does a faster rate buy?" in titles
     with_plot = [sentence for panel in plots for sentence in panel["sentences"]]

@@ -12,7 +12,7 @@ from report_runs import random_run, write_recordings
 from ssm_study.report.page.amplitudes import coverage_reference_text
 from ssm_study.report.page.data import mask_meaningless_values, slider_settings
 from ssm_study.report.page.first_screen import outcome_remarks
-from ssm_study.report.page.provenance import configuration_text, log_text, provenance_lines
+from ssm_study.report.page.provenance import configuration_text, log_source_text, provenance_lines
 from ssm_study.report.page.writing import write_page
 from ssm_study.report.study_folder import RunFolder, StudyFolder
 from ssm_study.report.words import SETTLED
@@ -250,7 +250,7 @@ def test_a_log_names_its_file_and_signals_and_no_plant(tmp_path: Path) -> None:
     plant = "plant:\n  _target_: Motor\n  list:\n  - 1\nexcitation:\n  clock_s: null\n"
     (run / ".hydra" / "config.yaml").write_text(f"seed: 0\n{plant}{data}loop: null\n")
     study = StudyFolder(folder=folder)
-    assert log_text(study) == "Log: log.csv, power to temperature, 1 s. "
+    assert log_source_text(study) == "Log: log.csv, power to temperature, 1 s. "
     assert configuration_text(study) == f"seed: 0\n{data}loop: null\n"
     command = dict(provenance_lines(study, study.table))["to check the best run"]
     assert command == f"ssm-study verify results/study/{run.name}", "the folder's whole name"

@@ -15,13 +15,13 @@ from ssm_study.table import show
 from ssm_study.table.gather import rows_differ_from_records, table_from_records
 from ssm_study.table.over_seeds import align_columns, setting_heading
 from ssm_study.table.show import (
-    certificate_words,
+    certificate_verdicts,
     column_description_lines,
     computing_time_lines,
     format_cell,
     gather_rows,
     merge_with_ranges,
-    prediction_words,
+    prediction_verdicts,
     print_rows,
     render_table,
     short_column_heading,
@@ -75,7 +75,7 @@ def test_certificates_and_predictions_are_words() -> None:
         {"controller_certified": ours, "observer_certified": theirs} for ours, theirs in verdicts
     ]
     table = table_of(*rows)
-    words = certificate_words(table)
+    words = certificate_verdicts(table)
     expected = ["both", "ctl", "obs", "no", "-"]
     values = words.fillna("-").tolist()
     assert values == expected
@@ -88,7 +88,7 @@ def test_certificates_and_predictions_are_words() -> None:
     ]
     rows = [{"predicted_stable": stable, "evidence": evidence} for stable, evidence in pairs]
     table = table_of(*rows)
-    words = prediction_words(table)
+    words = prediction_verdicts(table)
     expected = ["yes", "yes, doubt", "no", "cannot judge", "-"]
     values = words.fillna("-").tolist()
     assert values == expected

@@ -11,7 +11,7 @@ from report_runs import random_run
 from ssm_study import style
 from ssm_study.export.targets import write_controller
 from ssm_study.refusal import BadRequest
-from ssm_study.report.page.live import is_loopback, start_server
+from ssm_study.report.page.live import is_local_host_name, start_server
 from ssm_study.report.page.writing import write_page
 
 pytest.importorskip("altair", reason="the extra `report` is not installed")
@@ -92,7 +92,7 @@ HOSTS = {
 @pytest.mark.parametrize("host", HOSTS)
 def test_the_live_page_answers_to_the_names_of_this_machine_alone(study: Path, host: str) -> None:
     """A page elsewhere can give its own name our address, and then read what we answer."""
-    assert is_loopback(host) is HOSTS[host]
+    assert is_local_host_name(host) is HOSTS[host]
     with start_server(study, 0, lambda _: None) as server:
         thread = Thread(target=server.serve_forever, daemon=True)
         thread.start()

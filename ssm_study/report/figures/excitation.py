@@ -35,7 +35,7 @@ def draw(study: StudyFolder) -> Figure:
     amplitude.set(
         xlabel=label,
         ylabel="Share of samples (%)",
-        title=f"Training records{_coverage_title(record)}",
+        title=f"Training records{_input_coverage_title(record)}",
     )
     segment = min(
         LONGEST_SEGMENT, *map(len, records)
@@ -58,7 +58,7 @@ def draw(study: StudyFolder) -> Figure:
     return fig
 
 
-def _coverage_title(record: Mapping[str, Any]) -> str:
+def _input_coverage_title(record: Mapping[str, Any]) -> str:
     """Title that says which fraction of the input range the training records cover."""
     if record.get("excitation_warning"):
         return ": two levels, slopes of $S_u$ not identifiable"

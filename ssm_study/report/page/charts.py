@@ -101,14 +101,16 @@ RING_LOOK |= {"opacity": 1, "aria": False}
 RULE_LOOK: dict[str, Any] = {"strokeDash": [4, 3], "color": style.GREY, "aria": False}
 
 
-def panel_contents(table: pd.DataFrame, answered: Collection[Answer] = ()) -> list[dict[str, Any]]:
+def scatter_plot_contents(
+    table: pd.DataFrame, answered: Collection[Answer] = ()
+) -> list[dict[str, Any]]:
     """Content of each scatter plot that the report page shows: question, columns, chart
     specification. The sentences of an answer stand with the plot of its question."""
     drawn = []
-    for panel in panels_with_data(table):
-        spec = panel_specification(panel, table)
-        stem = question_stem(panel.question)
-        answer = next((a for a in answered if question_stem(a.question) == stem), None)
+    for panel in scatter_plots_with_data(table):
+        spec = scatter_plot_specification(panel, table)
+        stem = question_beginning(panel.question)
+        answer = next((a for a in answered if question_beginning(a.question) == stem), None)
         content = vars(panel) | {"spec": spec, "sentences": []}
         if answer is not None:
             content["question"] = answer.question
@@ -117,7 +119,7 @@ def panel_contents(table: pd.DataFrame, answered: Collection[Answer] = ()) -> li
     return drawn
 
 
-def panels_with_data(table: pd.DataFrame) -> list[ScatterPlot]:
+def scatter_plots_with_data(table: pd.DataFrame) -> list[ScatterPlot]:
     """Scatter plots that a study's table has enough numbers for. Fits that all but agree say
     nothing."""
     fits = numeric_column(table, "fit_test_percent")
@@ -132,11 +134,11 @@ def unplotted_answers(table: pd.DataFrame, answered: Collection[Answer]) -> list
     plots at all."""
     plotted = set()
     if len(table) > 1:
-        plotted = {question_stem(panel.question) for panel in panels_with_data(table)}
-    return [answer for answer in answered if question_stem(answer.question) not in plotted]
+        plotted = {question_beginning(panel.question) for panel in scatter_plots_with_data(table)}
+    return [answer for answer in answered if question_beginning(answer.question) not in plotted]
 
 
-def question_stem(question: str) -> str:
+def question_beginning(question: str) -> str:
     """First three words of a question, by which the report page pairs a chart with an answer."""
     return " ".join(question.split()[:3])
 
@@ -159,7 +161,7 @@ def _replace_constant_settled_fraction(table: pd.DataFrame, panel: ScatterPlot) 
     return replace(panel, y="settling_time_mean_s", note=note)
 
 
-def panel_specification(panel: ScatterPlot, table: pd.DataFrame) -> dict[str, Any]:
+def scatter_plot_specification(panel: ScatterPlot, table: pd.DataFrame) -> dict[str, Any]:
     """Vega-Lite specification of one scatter plot of the report page. The page's script sets the
     parameters `mask` (runs shown) and `chosen` (selected run), and reads `brush`.
 

@@ -38,7 +38,7 @@ def comparison_json(rows: pd.DataFrame) -> Spec:
     rows = rows.dropna(axis="columns", how="all")
     if "controller" in rows:
         return {"table": table_html(controllers_table(rows))}
-    return {"chart": designs_chart(rows)}
+    return {"chart": settled_fraction_chart(rows)}
 
 
 def controllers_table(rows: pd.DataFrame) -> ControllerTable:
@@ -70,7 +70,7 @@ def conditions_table(rows: pd.DataFrame, situations: list[str]) -> ControllerTab
     cells = []
     for name in dict.fromkeys(rows["controller"]):
         own = [tried.get((name, situation), {}) for situation in situations]
-        cells.append((choice_label(name), list(map(settled_cell, own))))
+        cells.append((choice_label(name), list(map(settled_fraction_cell, own))))
     heads = tuple(map(choice_label, situations))
     return ControllerTable(caption=OF_SITUATIONS, heads=heads, rows=cells)
 
@@ -84,7 +84,7 @@ def single_condition_cells(row: "pd.Series[Any]") -> list[tuple[str, str]]:
     return [(text, "") for text in texts]
 
 
-def settled_cell(row: dict[str, Any]) -> tuple[str, str]:
+def settled_fraction_cell(row: dict[str, Any]) -> tuple[str, str]:
     """Table cell with the fraction of initial states from which a loop settles, and the mean
     settling time."""
     share = row.get("stable_fraction", np.nan)
@@ -133,7 +133,7 @@ def cell_html(text: str, shade: str) -> str:
     return f"<td{background}>{escape(text)}</td>"
 
 
-def designs_chart(rows: pd.DataFrame) -> Spec:
+def settled_fraction_chart(rows: pd.DataFrame) -> Spec:
     """Chart of certified controllers: stability margin against the fraction of initial states from
     which the loop on the plant settles."""
     points = margins_and_settled_fractions(rows)
@@ -149,7 +149,7 @@ def designs_chart(rows: pd.DataFrame) -> Spec:
     rule["encoding"] = {"x": {"datum": 1}}
     spec = framed_specification({"layer": [rule, dots]}, DESIGNS)
     title = f"{len(points)} certified designs for this model"
-    return {"title": title, "note": settled_sentence(points), "spec": spec}
+    return {"title": title, "note": settled_designs_sentence(points), "spec": spec}
 
 
 def margins_and_settled_fractions(rows: pd.DataFrame) -> pd.DataFrame:
@@ -162,7 +162,7 @@ def margins_and_settled_fractions(rows: pd.DataFrame) -> pd.DataFrame:
     return points[points["margin"] > 0]
 
 
-def settled_sentence(points: pd.DataFrame) -> str:
+def settled_designs_sentence(points: pd.DataFrame) -> str:
     """Sentence on how many designs with a stability margin above one, and below one, settle from
     all initial states."""
     is_above = points["margin"] > 1

@@ -26,7 +26,7 @@ from ssm_study.report.page.first_screen import (
 )
 from ssm_study.report.page.pictures import pictures_of_run
 from ssm_study.report.page.proof_card import RecordedLoopFacts
-from ssm_study.report.page.provenance import configuration_text, log_text, provenance_lines
+from ssm_study.report.page.provenance import configuration_text, log_source_text, provenance_lines
 from ssm_study.report.page.runner_up import choose_robust_alternative
 from ssm_study.report.study_folder import RecordedCases, RunFolder, StudyFolder
 from ssm_study.report.words import (
@@ -191,7 +191,7 @@ def page_texts(
     parts: dict[str, Any] = {"title": study.name}
     parts["question"] = page_title(table)
     counts = verdict_counts(table)
-    subject = f"{plants_and_data_text(table)}{log_text(study)}"
+    subject = f"{plants_and_data_text(table)}{log_source_text(study)}"
     parts["swept"] = f"{subject}{counts}. {swept_settings_line(table)}"
     parts["several"] = len(table) > 1
     parts["answers"] = unplotted

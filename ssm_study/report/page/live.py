@@ -48,7 +48,7 @@ class LivePage:
         self.mark = ""
         self.html = WAITING
 
-    def page(self) -> str:
+    def page_html(self) -> str:
         """HTML of the live report page, with a script that asks for changes every two seconds."""
         with self.lock:
             mark = self.study_state_digest()
@@ -91,7 +91,7 @@ def start_server(study: Path, port: int, announce: Callable[[str], object]) -> T
     return server
 
 
-def is_loopback(host: str) -> bool:
+def is_local_host_name(host: str) -> bool:
     """Whether the host name in an HTTP request stands for this machine, such as `localhost:8420`
     and `127.0.0.1`."""
     return re.fullmatch(r"(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?", host.lower()) is not None
@@ -100,7 +100,7 @@ def is_loopback(host: str) -> bool:
 def _create_handler(live: LivePage) -> type[BaseHTTPRequestHandler]:
     """Create the class that answers the HTTP requests for one live report page."""
     answers: dict[str, tuple[str, Callable[[], str]]] = {
-        "/": ("text/html; charset=utf-8", live.page),
+        "/": ("text/html; charset=utf-8", live.page_html),
         "/state": ("application/json", lambda: json.dumps(live.page_state())),
     }
 
@@ -111,7 +111,7 @@ def _create_handler(live: LivePage) -> type[BaseHTTPRequestHandler]:
             """Answer an HTTP request for the report page or its state, and refuse every other
             request."""
             # A page of a stranger may give its own name our address, and read what we answer.
-            if not is_loopback(self.headers.get("Host", "")):
+            if not is_local_host_name(self.headers.get("Host", "")):
                 self.send_error(403, "ask for localhost")
                 return
             if self.path not in answers:

@@ -50,7 +50,7 @@ class RecordedLoopFacts:
         farthest = max(abs(lower - self.output_at_rest), abs(upper - self.output_at_rest))
         return self.settling_band is not None and farthest <= self.settling_band
 
-    def count_starts_inside(self, lower: float, upper: float) -> int:
+    def count_initial_states_inside(self, lower: float, upper: float) -> int:
         """Number of recorded initial states all of whose outputs lie between two values."""
         is_inside = (self.initial_outputs >= lower) & (self.initial_outputs <= upper)
         return int(is_inside.all(axis=1).sum())
@@ -69,7 +69,7 @@ def certified_rates_card(record: Record, loop: RecordedLoopFacts | None = None) 
     if record.get("controller_certified") and record.get("observer_certified"):
         step_s = None if loop is None else loop.step_s
         slower = unproved_speed_up_text(record, step_s)
-        lines = (slower, rate_line(record, rate, loop), coverage_sentence(record))
+        lines = (slower, contraction_text(record, rate, loop), coverage_sentence(record))
         headline = f"certified rate per sample{time_constant_text(rate, loop)}"
         return Card(
             title=TITLE,
@@ -85,7 +85,7 @@ def certified_rates_card(record: Record, loop: RecordedLoopFacts | None = None) 
     return Card(title=TITLE, number=f"{limit:.3g}", text=text)
 
 
-def rate_line(record: Record, rate: float, loop: RecordedLoopFacts | None) -> str:
+def contraction_text(record: Record, rate: float, loop: RecordedLoopFacts | None) -> str:
     """Text line that says how much the distance of two trajectories shrinks at a certified rate."""
     shrinks = 100 - 100 * math.sqrt(1 - rate)
     step = "" if loop is None else f" ({sampling_time_text(loop.step_s)})"
@@ -154,7 +154,7 @@ def input_limit_text(record: Record, loop: RecordedLoopFacts | None) -> str:
     outputs = f"{first:.3g} and {last:.3g}{output_unit}"
     share = ""
     if loop is not None:
-        inside = loop.count_starts_inside(*start_range)
+        inside = loop.count_initial_states_inside(*start_range)
         verb = "lies" if inside == 1 else "lie"
         if loop.is_within_settling_band(*start_range):
             share = f", all within the settling band of ±{loop.settling_band:.3g}{output_unit}"
@@ -190,9 +190,7 @@ def unproved_statements(record: Record, loop: RecordedLoopFacts | None) -> list[
         ]
     start_range = full_rate_initial_outputs(record)
     if start_range is not None:
-        excluded.append(
-            f"with the input limited, {describe_starts_outside_proof(start_range, loop)}"
-        )
+        excluded.append(f"with the input limited, {outputs_outside_proof_text(start_range, loop)}")
     elif record.get("limit_lower") is None:
         excluded.append(unproved_limits_text(record))
     excluded += exceeded_bound_statements(record)
@@ -205,12 +203,12 @@ def unproved_statements(record: Record, loop: RecordedLoopFacts | None) -> list[
 def unproved_limits_text(record: Record) -> str:
     """Text on input limits under which nothing is proved for a run."""
     words = "an input that is limited"
-    if is_limited_to_records(record):
+    if is_input_limited_to_records(record):
         words += ", as it is here to the range of the records"
     return f"{words}: the theorems on limits know no neurons" if record.get("neurons") else words
 
 
-def is_limited_to_records(record: Record) -> bool:
+def is_input_limited_to_records(record: Record) -> bool:
     """Whether the simulated input of a closed loop was limited to the recorded range, as for a log
     of measurements."""
     return record.get("loop_on") == "identified model"
@@ -220,7 +218,7 @@ def exceeded_bound_statements(record: Record) -> list[str]:
     """Statement on how far the estimation error on the plant exceeded the bound that is certified
     for the model."""
     excess = record.get("certified_bound_excess_plant")
-    if not excess or is_limited_to_records(record):
+    if not excess or is_input_limited_to_records(record):
         return []
     share = f"{100 * excess:.2g} % of its value at the start"
     has_noise = record.get("noise_gain_measured") is not None
@@ -229,7 +227,7 @@ def exceeded_bound_statements(record: Record) -> list[str]:
     return [f"{bound}: {estimate} exceeded it by up to {share}"]
 
 
-def describe_starts_outside_proof(
+def outputs_outside_proof_text(
     start_range: tuple[float, float], loop: RecordedLoopFacts | None
 ) -> str:
     """Text on initial outputs outside the range for which a rate is proved under input limits."""
@@ -238,7 +236,7 @@ def describe_starts_outside_proof(
     if loop is None:
         return words
     total = len(loop.initial_outputs)
-    outside = total - loop.count_starts_inside(*start_range)
+    outside = total - loop.count_initial_states_inside(*start_range)
     return f"{words} {loop.output_unit}: {outside} of the {total} shown"
 
 

@@ -19,7 +19,7 @@ TREE = {
 }  # git_dirty; what git does not track is left out
 
 
-def log_text(study: StudyFolder) -> str:
+def log_source_text(study: StudyFolder) -> str:
     """Sentence on the file, signals and sampling time of the log from which the best run was
     made."""
     data = log_data_settings(study)
@@ -64,13 +64,13 @@ def provenance_lines(study: StudyFolder, table: pd.DataFrame) -> list[tuple[str,
             facts.append((title, " or ".join(values)))
     if len(table):
         best = text_column(table, "run").iloc[0]
-        folder, run = run_location(study, best)
+        folder, run = folder_names_of_run(study, best)
         command = f"ssm-study verify results/{folder}/{run}"
         facts.append(("to check the best run", command))
     return facts
 
 
-def run_location(study: StudyFolder, name: str) -> tuple[str, str]:
+def folder_names_of_run(study: StudyFolder, name: str) -> tuple[str, str]:
     """Names of the study folder and the run folder of a run, which may belong to another study."""
     other = re.match(r"\.\./([^/]+)/", name)
     folder = other[1] if other else study.folder.resolve().name

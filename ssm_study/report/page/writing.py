@@ -32,8 +32,8 @@ def write_page(study_folder: Path, other_studies: tuple[Path, ...] = ()) -> Path
         from ssm_study.report.page.charts import (
             EXPLORER,
             group_chart_specification,
-            panel_contents,
-            panel_specification,
+            scatter_plot_contents,
+            scatter_plot_specification,
             unplotted_answers,
         )
     except ImportError as error:
@@ -43,8 +43,8 @@ def write_page(study_folder: Path, other_studies: tuple[Path, ...] = ()) -> Path
     table = sort_for_page(study.table)
     answered = question_answers(table)
     data = page_data(study) | {
-        "panels": panel_contents(table, answered),
-        "explorer": panel_specification(EXPLORER, table),
+        "panels": scatter_plot_contents(table, answered),
+        "explorer": scatter_plot_specification(EXPLORER, table),
         "groups": group_chart_specification(),
         "templates": chart_templates(table),
     }
