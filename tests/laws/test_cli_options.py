@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from ssm_study.cli import commands, main
-from ssm_study.cli.exit_status import DONE, SOME_FAILED, describe_error
+from ssm_study.cli.exit_status import DONE, SOME_FAILED, error_as_bad_request
 from ssm_study.cli.parser import ACTIONS, FIGURES, SUBJECTS, build_parser
 from ssm_study.refusal import BadRequest
 
@@ -281,14 +281,14 @@ def test_more_than_four_earlier_files_are_abbreviated(
     monkeypatch.setattr("builtins.input", lambda text: asked.append(text) or " YES ")
     monkeypatch.setattr(sys, "stdin", PARTS(isatty=lambda: True))
     (tmp_path / "notes.txt").touch()
-    assert commands.may_overwrite(tmp_path)
+    assert commands.confirm_overwriting(tmp_path)
     assert asked == []
     for name in "abcd":
         (tmp_path / f"{name}.h").touch()
-    assert commands.may_overwrite(tmp_path)
+    assert commands.confirm_overwriting(tmp_path)
     assert asked[0].endswith("holds a.h, b.h, c.h, d.h: overwrite? [y/N] ")
     (tmp_path / "e.onnx").touch()
-    commands.may_overwrite(tmp_path)
+    commands.confirm_overwriting(tmp_path)
     assert asked[1].endswith("holds a.h, b.h, c.h, d.h ...: overwrite? [y/N] ")
 
 
@@ -336,9 +336,9 @@ LEFT_OUT = {
 def test_a_figure_in_two_formats_counts_once(left_out: int, line: str) -> None:
     names = ("one.png", "one.pdf", "two.png")
     paths = [Path("figures", name) for name in names]
-    actual = commands.figures_line(paths, left_out)
+    actual = commands.drawn_figures_text(paths, left_out)
     assert actual == line
-    actual = commands.figures_line([], left_out)
+    actual = commands.drawn_figures_text([], left_out)
     assert actual == "no figure drawn; -v says why"
 
 
@@ -382,16 +382,16 @@ def test_a_traceback_is_shown_of_a_defect_alone(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_an_error_of_a_file_names_it_and_a_defect_is_cut() -> None:
-    lost = describe_error(FileNotFoundError(2, "gone", "a.csv"), ["show", "s"])
+    lost = error_as_bad_request(FileNotFoundError(2, "gone", "a.csv"), ["show", "s"])
     expected = ("file", "a.csv", "gone")
     actual = (lost.field, lost.value, lost.problem)
     assert actual == expected
-    full = describe_error(OSError(28, "no space"), ["show", "s"])
+    full = error_as_bad_request(OSError(28, "no space"), ["show", "s"])
     expected = ("command", "show s")
     actual = (full.field, full.value)
     assert actual == expected
     request = BadRequest("a", 1, "b", "c")
-    assert describe_error(request, []) is request
-    defect = describe_error(KeyError("z" * 400), ["show", "s"])
+    assert error_as_bad_request(request, []) is request
+    defect = error_as_bad_request(KeyError("z" * 400), ["show", "s"])
     count = defect.problem.count("z")
     assert count == 299
