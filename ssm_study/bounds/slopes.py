@@ -1,5 +1,5 @@
-"""Proved bounds on the slopes of the static maps S_u and S_y: balls that contain all their
-Jacobians (docs/theory.md), and how each was proved."""
+"""Proved bounds on the slopes of a model's static maps: balls that contain all Jacobians of a map,
+and how each was proved. The maps are S_u and S_y of docs/theory.md."""
 
 from dataclasses import dataclass
 from fractions import Fraction

@@ -82,8 +82,8 @@ class GainTheorem(Theorem, abstract=True):
         return context.balls.output if cls.observes else context.balls.input
 
     def certificate_at_largest_rate(self) -> "GainTheorem | None":
-        """Certificate of a larger contraction rate for the same gain matrix; None if no larger rate
-        can be proved."""
+        """Certificate of the largest contraction rate provable for a certified gain matrix; None if
+        no larger rate can be proved than before."""
         return None
 
     @staticmethod

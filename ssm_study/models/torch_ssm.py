@@ -58,7 +58,7 @@ class InputMapping(nn.Module):
             self.register_buffer(name, tensor, persistent=False)
 
     def forward(self, scaffold: TorchScaffold) -> Float[Tensor, "e T k"]:
-        """Apply a trainable static input map to the fixed records."""
+        """Apply a trainable static input map to the fixed records of a module."""
         if self.levels:
             return scaffold(self.values)[self.where]
         pieces = scaffold.affine_pieces() if self.sorts else None

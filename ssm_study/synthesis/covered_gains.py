@@ -156,8 +156,8 @@ class GainSearch:
     def _needs_another_round(
         self, coverages: Sequence[float], target_coverage: float, rounds: int
     ) -> bool:
-        """Whether a random search continues, given the best coverage (ratio of tolerated to
-        recorded model error) after each round."""
+        """Whether a random search for gains continues, given the best coverage (ratio of tolerated
+        to recorded model error) after each round."""
         if self.is_brief:
             return len(coverages) <= rounds and coverages[-1] < target_coverage
         return is_worth_another_round(coverages, target_coverage, rounds)

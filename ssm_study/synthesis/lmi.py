@@ -174,8 +174,8 @@ def certificate_from_paper_lmi(
     rate: float,
     theorem: type[GainTheorem] = StateFeedbackOfBall,
 ) -> Any:
-    """Contraction certificate from the linear matrix inequality exactly as [Z26] prints it.
-    Any solution with the block matrix `>= I` is taken.
+    """Contraction certificate from the linear matrix inequality exactly as it is printed in the
+    paper [Z26]. Any solution with the block matrix `>= I` is taken.
 
     One attempt at the asked rate, no frontier consulted, nothing repaired: a second opinion for
     every record. A certificate, certified or not; `Infeasible` without matrices.

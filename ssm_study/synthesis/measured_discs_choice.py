@@ -100,8 +100,8 @@ def choose_covering_design(
 
 
 def usual_overestimation_factor(model: Model) -> float:
-    """Factor by which the coverage (ratio of tolerated to recorded model error) computed frequency
-    by frequency usually exceeds the proved one at most."""
+    """Largest usual factor by which the coverage (ratio of tolerated to recorded model error)
+    computed frequency by frequency exceeds the coverage that is then proved."""
     return LOST_WITH_NEURONS if isinstance(model.system, StructuredSystem) else LOST
 
 
@@ -175,8 +175,8 @@ class GainPairSearch:
             self.largest = coverage
 
     def best_design_below_target(self) -> tuple[Design | None, str]:
-        """Best design of a search in which none tolerates the required model error, and a text that
-        says what is proved for it."""
+        """Best design of a search in which no design tolerates the required model error, and a text
+        that says what is proved for the best one."""
         if self.barely is not None:
             return self.barely, LESS_COVERED
         return self.first, NOT_COVERED

@@ -52,7 +52,7 @@ def metric_candidates(
     theorem: type[MeasuredDiscs], numbers: dict[str, Any], margin: float
 ) -> Iterator[Float[np.ndarray, "x x"]]:
     """Candidates for the metric P in a certificate for a disc of model errors, from Riccati
-    equations with several slacks."""
+    equations at several values of a slack."""
     matrices = {name: np.atleast_2d(value) for name, value in numbers.items()}
     of = SimpleNamespace(**matrices)
     rows = theorem.signal_matrices(of)

@@ -189,8 +189,8 @@ def _program_in_box(
 def _program_at_fixed_weights(
     grid: FormsAtAngles, weights: DiscWeights, centre: float
 ) -> tuple[FrequencyProgram, Unknowns]:
-    """Optimisation problem for disc radius and multipliers at fixed weights, with constraints at
-    the frequencies of a grid."""
+    """Optimisation problem for the radius of a disc of model errors and the multipliers at fixed
+    weights, with constraints at the frequencies of a grid."""
     reference = _reference_form_at(grid, weights)
     linear = np.concatenate([-reference[None], grid.multipliers])
     scale = form_norms(linear)

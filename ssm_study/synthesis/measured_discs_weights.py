@@ -63,8 +63,8 @@ def initial_weights(
 
 @dataclass(frozen=True, kw_only=True)
 class WeightBasis:
-    """Cosine basis functions in which the squared gains of the disc's weighting filters are
-    expanded."""
+    """Cosine basis functions in which the squared gains of a model-error disc's weighting filters
+    are expanded."""
 
     poles: tuple[float, ...] = POLES
     order: int = ORDER

@@ -87,8 +87,8 @@ OF_THE_OUTPUT = ("c", "d", "h")  # read from the model, the others from what is 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredDiscs(Theorem):
     """Certificate that the closed loop comes to rest on every plant whose model error lies within a
-    measured disc. `kappa` and its proof `p (n_xi, n_xi)`, `lambda_p`, `lambda_out (3,)`, which is
-    empty for a linear S_y.
+    disc measured from records. `kappa` and its proof `p (n_xi, n_xi)`, `lambda_p`, `lambda_out
+    (3,)`, which is empty for a linear S_y.
 
     The disc is `centre, floor, weight_output, weight_input`: `[A, B; C, D]` of a filter of one
     channel, applied to each. The loop is `a, b, k` (controlled), `c, d, l, alpha_out, beta_out`

@@ -1,5 +1,5 @@
 """Certificate that the loop of a model with neurons comes to rest on every plant with a model error
-within a measured disc.
+within a disc measured from records.
 
 Problem. As in `measured_discs`, for the model and the observer of `structured_observer`.
 
@@ -56,8 +56,8 @@ from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 @dataclass(frozen=True, kw_only=True)
 class StructuredMeasuredDiscs(MeasuredDiscs):
     """Certificate that the loop of a model with neurons comes to rest on every plant with a model
-    error within a measured disc. It has the fields of `measured_discs`, and `e (s, q), f (q, s), g
-    (q, m)`, `h (p, q)`, `l_z (q, p)`, `lambda_ (3 q,)`."""
+    error within a disc measured from records. It has the fields of `measured_discs`, and `e (s, q),
+    f (q, s), g (q, m)`, `h (p, q)`, `l_z (q, p)`, `lambda_ (3 q,)`."""
 
     e: Float[np.ndarray, "s q"]
     f: Float[np.ndarray, "q s"]

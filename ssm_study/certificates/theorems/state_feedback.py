@@ -58,7 +58,8 @@ class StateFeedbackOfBall(ProblemCertificate, StateFeedback):
 
     @staticmethod
     def inequality(proof: Any) -> Blocks:
-        """Blocks of the matrix inequality of [Z26] Theorem 1 for the matrices of a certificate."""
+        """Blocks of the matrix inequality that proves contraction under a state feedback ([Z26],
+        Theorem 1), for a certificate's matrices."""
         contracted_metric = (1 - proof.rate) * proof.p
         state_block = contracted_metric - proof.sigma * (proof.b @ proof.b.T)
         state_step = proof.a @ proof.y + proof.alpha * (proof.b @ proof.x)
