@@ -9,7 +9,7 @@ from typing import Any
 from numba import njit
 
 
-class UncachedMachineCode(UserWarning):
+class UncachedCodeWarning(UserWarning):
     """Warning that the machine code compiled by Numba cannot be stored on disk, so that every
     process compiles its own."""
 
@@ -36,4 +36,4 @@ def _warn_of_missing_cache() -> None:
     """Warn, once in each process, that machine code compiled by Numba cannot be stored on disk."""
     problem = "compiled code cannot be kept, so each process compiles for some seconds"
     remedy = "set NUMBA_CACHE_DIR to a folder that may be written to"
-    warnings.warn(f"{problem}; {remedy}", UncachedMachineCode, stacklevel=3)
+    warnings.warn(f"{problem}; {remedy}", UncachedCodeWarning, stacklevel=3)

@@ -41,7 +41,7 @@ def construct_part(name: str, settings: Mapping[str, Any]) -> Any:
     key = (name, repr(settings))  # unlike `==`, it tells 1 from 1.0 and from True
     if key not in _PARTS:
         try:
-            _PARTS[key] = construct(name, settings)
+            _PARTS[key] = construct_object(name, settings)
         except BadRequest:
             raise
         except Exception as error:  # a constructor may raise anything for values of right types
@@ -51,7 +51,7 @@ def construct_part(name: str, settings: Mapping[str, Any]) -> Any:
     return _PARTS[key]
 
 
-def construct(path: str, node: Any) -> Any:
+def construct_object(path: str, node: Any) -> Any:
     """Construct Python objects from nested settings, the inner ones first. Each class that is named
     by `_target_` is called with its fields.
 
@@ -59,11 +59,11 @@ def construct(path: str, node: Any) -> Any:
     number given where any number is wanted becomes a float.
     """
     if isinstance(node, list):
-        return [construct(f"{path}[{i}]", item) for i, item in enumerate(node)]
+        return [construct_object(f"{path}[{i}]", item) for i, item in enumerate(node)]
     if not isinstance(node, dict):
         return node
     if "_target_" not in node:
-        return {key: construct(f"{path}.{key}", value) for key, value in node.items()}
+        return {key: construct_object(f"{path}.{key}", value) for key, value in node.items()}
     kind = import_target(node["_target_"])
     fields = {key: value for key, value in node.items() if key != "_target_"}
     arguments = {key: _check_argument(path, kind, key, value) for key, value in fields.items()}
@@ -98,7 +98,7 @@ def _check_argument(path: str, kind: type, key: str, value: Any) -> Any:
     if isinstance(value, dict | list):
         problem = f"is not {_type_description(hints[key])}" if key in hints else ""
         require(not _allows_only_scalars(hints.get(key)), field, value, problem, "give one value")
-        return construct(field, value)
+        return construct_object(field, value)
     if key not in hints:
         return value
     hint = hints[key]

@@ -63,7 +63,7 @@ def write_json_atomically(path: Path, value: Any, durable: bool = True) -> None:
     write_atomically(path, json_bytes(value), durable)
 
 
-def link_or_copy(source: Path, target: Path) -> None:
+def link_or_copy_file(source: Path, target: Path) -> None:
     """Create a second file with the same content, by a clone or a hard link if possible, else by a
     copy.
 
@@ -207,7 +207,7 @@ def _acquire_lock(descriptor: int, patience_s: float, exit_stack: ExitStack) -> 
         if math.isinf(patience_s):
             fcntl.flock(descriptor, fcntl.LOCK_EX)  # waits in the kernel, without polling
             return True
-        return _retry_until_deadline(lambda: _try_flock(descriptor), patience_s)
+        return _retry_until_deadline(lambda: _try_file_lock(descriptor), patience_s)
     except OSError as error:
         _raise_unless_locks_unsupported(error)
     return _retry_until_deadline(lambda: _acquire_socket_lock(descriptor, exit_stack), patience_s)
@@ -224,7 +224,7 @@ def _retry_until_deadline(attempt: Callable[[], bool], patience_s: float) -> boo
     return True
 
 
-def _try_flock(descriptor: int) -> bool:
+def _try_file_lock(descriptor: int) -> bool:
     """Try once, without waiting, to lock an open file; return whether that succeeded."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

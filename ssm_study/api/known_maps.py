@@ -20,7 +20,7 @@ ARGUMENTS = {"state_feedback": "slopes", "observer": "output_slopes"}
 MAPS = {"slopes": "input map", "output_slopes": "output map"}
 
 
-class UnknownMap(UserWarning):
+class UnknownMapWarning(UserWarning):
     """Warning that a simulation uses a constant gain for a static map that is known only by its
     slopes."""
 
@@ -73,4 +73,4 @@ def warn_of_unknown_maps(unknown: dict[str, str]) -> None:
         f"the {maps}: plant and observer take the gain in the middle for it, and nothing is "
         "certified of the loop with another map"
     )
-    warnings.warn(message, UnknownMap, stacklevel=3)
+    warnings.warn(message, UnknownMapWarning, stacklevel=3)

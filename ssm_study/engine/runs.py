@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from ssm_study.durable import PATIENCE_S, file_lock, link_or_copy, write_atomically
+from ssm_study.durable import PATIENCE_S, file_lock, link_or_copy_file, write_atomically
 from ssm_study.engine import records
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, LOCK, LOST, OK, RECORD, RUNNING
 from ssm_study.engine.stages import StageResult
@@ -64,7 +64,7 @@ class Run:
         )
         for name in files:
             if (stage.path / name).is_file():
-                link_or_copy(stage.path / name, self.path / name)
+                link_or_copy_file(stage.path / name, self.path / name)
         if not stage.path.is_dir():  # then a file may be missing that it had
             raise FileNotFoundError(errno.ENOENT, "was removed", str(stage.path))
 

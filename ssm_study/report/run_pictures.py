@@ -51,8 +51,8 @@ def read_run_files(run: RunFolder, *parts: str) -> list[Any]:
 
 
 def run_input_scale(run: RunFolder, model: Any) -> InputScale | None:
-    """Scale between physical and scaled input of a run's model, with its unit; None for several
-    inputs or without a record."""
+    """Physical size and unit of one scaled input of a run's model; None for several inputs, or if
+    the run has no validation record."""
     if run.validation is None:
         return None
     return physical_input_scale(model, run.validation.unit("input"))

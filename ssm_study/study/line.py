@@ -241,8 +241,8 @@ class StudyTask(Task["Specification"]):
         }
 
     def command_line_columns(self, request: "Specification", overrides: Sequence[str]) -> Facts:
-        """Columns of a run's record for numbers set on the command line that have no declared
-        column."""
+        """Columns of a run's record with numbers that the command line sets for settings without a
+        declared column."""
         return undeclared_number_columns(
             request.configuration, {word.partition("=")[0] for word in overrides}
         )
@@ -278,7 +278,7 @@ def refuse_retry_without_runs(config: DictConfig, run: str = "*") -> None:
 
 
 def undeclared_number_columns(configuration: Mapping[str, Any], keys: Iterable[str]) -> Facts:
-    """Columns of a run's record for numeric settings that have no declared column.
+    """Columns of a run's record with the numeric settings for which no column is declared.
 
     A part, as `training/optimiser` or `peer@loop.peer`, is named by its kind.
     """

@@ -50,7 +50,7 @@ def compute_dataset_with_trials(
         if isinstance(experiment, tuple):
             closed, _ = experiment
             trials += records_from_loops(closed.controlled)
-    _write_data_and_trials(folder, data, tuple(trials))
+    _write_data_with_trials(folder, data, tuple(trials))
 
 
 def compute_dataset_with_logged_trials(
@@ -58,12 +58,12 @@ def compute_dataset_with_logged_trials(
 ) -> None:
     """Write the data set of a run together with the user's logs of closed-loop trials."""
     trials = read_trial_logs(refine, data, records.step_s)
-    _write_data_and_trials(folder, records, trials)
+    _write_data_with_trials(folder, records, trials)
 
 
-def _write_data_and_trials(folder: Path, data: DataSet, trials: Trajectories) -> None:
-    """Write a data set whose model error is also measured in closed-loop trials, and a recording of
-    the trials."""
+def _write_data_with_trials(folder: Path, data: DataSet, trials: Trajectories) -> None:
+    """Write a data set to which closed-loop trials are added as records for measuring the model
+    error, and a recording of the trials."""
     mismatch_records = (*data.mismatch_records, *trials)
     write_dataset(folder, replace(data, mismatch_records=mismatch_records))
     write_records(folder / LOOPS, data, trials)

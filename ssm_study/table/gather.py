@@ -85,8 +85,8 @@ def gather(study: Path, anew: bool = False, must_write: bool = True) -> pd.DataF
 
 
 def _write_table(study: Path, table: pd.DataFrame, marks: FileStates) -> None:
-    """Write a study's table to its files, together with the file times by which a later change of a
-    record is noticed."""
+    """Write a study's results table to its files, with the state of each record file, by which a
+    later change of the record is noticed."""
     parquet = io.BytesIO()
     table.to_parquet(parquet, index=False)
     safe_table = _escape_formulas(table)
@@ -115,8 +115,8 @@ def record_file_states(study: Path) -> FileStates:
 
 
 def _read_last_table(study: Path) -> tuple[pd.DataFrame, FileStates]:
-    """Read the last gathered results table, with the file times of its records; empty if its files
-    were changed."""
+    """Read the results table as it was last gathered, with the file states of its records; empty if
+    its files were changed."""
     with suppress(OSError):
         index = read_json_with_digest(read_limited_bytes(study / MARKS))
         if index is not None:
@@ -146,7 +146,7 @@ def rows_differ_from_records(study: Path, rows: pd.DataFrame) -> bool:
 
 
 def _rows_by_run(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
-    """Rows of a results table as dictionaries, keyed by the name of the run, with None for missing
+    """Rows of a results table as dictionaries, by the name of the run, with None for missing
     values."""
     columns = [values.astype(object).where(values.notna(), None) for _, values in rows.items()]
     names = [str(name) for name in rows]

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from ssm_study.durable import add_digest, json_bytes, link_or_copy
+from ssm_study.durable import add_digest, json_bytes, link_or_copy_file
 from ssm_study.engine.jobs import Job, kill_job, record_death
 from ssm_study.engine.records import LOCK, RECORD, parse_record, read_record, write_record
 from ssm_study.engine.runs import Run, execute_run, failure_columns
@@ -277,7 +277,7 @@ def test_a_run_shares_its_files_with_the_store_and_stays_whole_without_it(tmp_pa
     target = tmp_path / "b"
     source.write_bytes(b"x" * 100_000)
     target.write_bytes(b"old")
-    link_or_copy(source, target)
+    link_or_copy_file(source, target)
     f_fsid = os.statvfs(tmp_path).f_fsid
     shared = f_fsid >= 0 and source.stat().st_ino == target.stat().st_ino
     assert shared or target.stat().st_nlink == 1  # a clone has its own number
@@ -302,7 +302,7 @@ def test_a_file_system_with_clones_keeps_the_bytes_once(tmp_path: Path) -> None:
         (disk / "a").write_bytes(os.urandom(8 << 20))
         os.sync()
         before = os.statvfs(disk).f_bfree
-        link_or_copy(disk / "a", disk / "b")
+        link_or_copy_file(disk / "a", disk / "b")
         os.sync()
         f_bfree = os.statvfs(disk).f_bfree
         difference = before - f_bfree
@@ -326,7 +326,7 @@ def test_where_files_cannot_be_shared_they_are_copied(
     monkeypatch.setattr(os, "link", refuse)
     monkeypatch.setattr(fcntl, "ioctl", refuse)
     (tmp_path / "a").write_text("text")
-    link_or_copy(tmp_path / "a", tmp_path / "b")
+    link_or_copy_file(tmp_path / "a", tmp_path / "b")
     text = (tmp_path / "b").read_text()
     assert text == "text"
     st_nlink = (tmp_path / "a").stat().st_nlink

@@ -8,7 +8,7 @@ import pytest
 
 import ssm_study as st
 from ssm_study.api.design import Design
-from ssm_study.api.known_maps import UnknownMap
+from ssm_study.api.known_maps import UnknownMapWarning
 from ssm_study.export.targets import describe_origin
 from ssm_study.refusal import BadRequest
 
@@ -131,18 +131,18 @@ def test_poles_of_a_design_are_those_at_the_middle_of_its_slopes() -> None:
 def test_a_loop_with_an_unknown_map_says_which_gain_it_takes(uncertain: Design) -> None:
     """Neither a table nor a picture takes a map in silence; with a known gain there is no word."""
     words = "the input map with slopes 0.8 to 1.2: plant and observer take the gain in the middle"
-    with pytest.warns(UnknownMap, match=words):
+    with pytest.warns(UnknownMapWarning, match=words):
         st.simulate(uncertain, [0.1], "loop.horizon_s=0.2")
     for draw in (uncertain.step, uncertain.nyquist, uncertain.poles):
-        with pytest.warns(UnknownMap, match=words):
+        with pytest.warns(UnknownMapWarning, match=words):
             draw()
-    with pytest.warns(UnknownMap, match=words):
+    with pytest.warns(UnknownMapWarning, match=words):
         figure = uncertain.plot()
     assert "slopes in the middle of their range" in figure.get_suptitle() + str(figure.texts)
     assert "gain in the middle" in uncertain.summary()["drawn and simulated"]
     known = st.control(SYSTEM, rate=0.3)
     with warnings.catch_warnings():
-        warnings.simplefilter("error", UnknownMap)
+        warnings.simplefilter("error", UnknownMapWarning)
         st.simulate(known, [0.1], "loop.horizon_s=0.2")
     assert "drawn and simulated" not in known.summary()
 
