@@ -116,7 +116,7 @@ def row_of(log: PublicLog, folder: Path) -> Row:
         "step_s": f"{model.data.step_s:.6g}",
         "read": model.data.metadata["reading"],
         "look": "; ".join(said),
-        "fit_test_percent": f"{model.facts['fit_test_percent']:.1f}",
+        "fit_test_percent": f"{model.result_columns['fit_test_percent']:.1f}",
         "fit_baseline_percent": f"{facts.get('fit_baseline_percent', float('nan')):.1f}",
         "baseline": facts.get("baseline"),
         "evidence": model.evidence.level,

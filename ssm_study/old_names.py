@@ -238,7 +238,9 @@ METHODS: Mapping[str, Mapping[str, str]] = {
         "targets": "target_trajectory",
     },
     "loop.peers.peer.IdentificationResult": {"shown": "mismatch"},
-    "api.design.Design": {"within": "within_limits"},
+    "api.design.Design": {"facts": "result_columns", "within": "within_limits"},
+    "api.model.Model": {"facts": "result_columns"},
+    "api.rest_design.RestDesign": {"facts": "proved_numbers"},
     "report.study_folder.RunFolder": {"comparison": "controller_comparison"},
     "report.study_folder.StudyFolder": {
         "best": "best_run",

@@ -118,9 +118,9 @@ class Design:
         return unknown_map_ranges(self.model, self.certificate)
 
     @cached_property
-    def facts(self) -> dict[str, Any]:
-        """Numbers on a design, keyed by column names of the results table: rates, limits, gains,
-        predictions.
+    def result_columns(self) -> dict[str, Any]:
+        """Numbers and texts on a design, by the column names of the results table: rates, limits,
+        gains, predictions.
 
         A bare system has no records, hence no predictions; a loaded design has its run's columns.
         """
@@ -161,11 +161,11 @@ class Design:
     @cached_property
     def record(self) -> dict[str, Any]:
         """Values of all columns of the results table for a design. A loaded design has those of its
-        run; the design of a bare system has those of `facts`."""
+        run; the design of a bare system has those of `result_columns`."""
         if self.origin is None:
-            return dict(self.facts)
-        facts = self.origin.facts
-        return facts | self.facts | self._loop_columns()
+            return dict(self.result_columns)
+        facts = self.origin.result_columns
+        return facts | self.result_columns | self._loop_columns()
 
     def _loop_columns(self) -> dict[str, Any]:
         """Columns of the results table on the closed loop with the identified model."""
@@ -327,7 +327,7 @@ class Design:
         balls = certified_balls(self.model)
         pair = self.certificate.gain_pair
         curves = margin_curves(self.model, pair, balls, origin.mismatch)
-        margin = self.facts.get("resolved_margin")
+        margin = self.result_columns.get("resolved_margin")
         scale = physical_input_scale(self.model, origin.data.inputs[0].unit)
         return draw_or_refuse(
             "margin_plot", lambda: margin_picture(curves, self.model.step_s, margin, scale)

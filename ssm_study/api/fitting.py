@@ -79,8 +79,8 @@ def fit(
     field left at None has the value of its yaml file. `overrides` are settings as the command takes
     them, such as `"training.max_epochs=10"` or `"data.test_fraction=0.3"`. `results_dir` keeps the
     log that the arrays become. With `keep_on_interrupt` Ctrl-C ends the training and the best model
-    so far is returned; `model.facts["training_ended"]` says so. Before the first epoch has ended
-    there is none, and `KeyboardInterrupt` is raised as without it.
+    so far is returned; `model.result_columns["training_ended"]` says so. Before the first epoch has
+    ended there is none, and `KeyboardInterrupt` is raised as without it.
 
     Raises `BadRequest`, before any long work, for whatever `ssm-study run data=recorded` refuses.
 

@@ -61,8 +61,8 @@ class Model:
     later_words: tuple[str, ...] = ()
 
     @cached_property
-    def facts(self) -> dict[str, Any]:
-        """Numbers on data and model, keyed by the column names of the results table."""
+    def result_columns(self) -> dict[str, Any]:
+        """Numbers and texts on data and model, by the column names of the results table."""
         data = self.data
         validation, test = simulate_validation_and_test(self.simulator, data)
         training = self.identification

@@ -73,9 +73,9 @@ class RestDesign:
         return BilinearFeedback(model=self.model, k=certificates.k, l_nodes=certificates.l_nodes)
 
     @property
-    def facts(self) -> dict[str, Any]:
-        """Numbers that are proved for the closed loop of a bilinear model, keyed by the
-        certificates' fields."""
+    def proved_numbers(self) -> dict[str, Any]:
+        """Numbers that are proved for the closed loop of a bilinear model, by the certificates'
+        field names."""
         facts: dict[str, Any] = {"certified": self.certified}
         for label, part in self.certificates.parts.items():
             for name, value in vars(part).items():
@@ -128,7 +128,7 @@ class RestDesign:
     def _default_samples(self) -> int:
         """Default length of a simulation in samples: until the proved bound on the distance from
         rest is 1 % of its initial value."""
-        factors = [value for name, value in self.facts.items() if name.endswith("_factor")]
+        factors = [value for name, value in self.proved_numbers.items() if name.endswith("_factor")]
         slowest = max(factors, default=DECAYED)
         decay_a_sample = np.log(slowest)
         samples_to_decay = np.log(DECAYED) / decay_a_sample

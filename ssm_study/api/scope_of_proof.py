@@ -65,7 +65,7 @@ def _read_stored_settings(configuration: "Path") -> dict[str, Any]:
 def describe_deciding_band(design: "Design") -> str:
     """Text on the frequency band that decides how much model error the proof covers. It also tells
     of missing input power there; empty where no band decides."""
-    facts = design.facts
+    facts = design.result_columns
     stored_reference = facts.get("coverage_reference") or ""
     reference = str(stored_reference)
     words = smallest_coverage_band_text(reference, design.model.step_s)
@@ -100,7 +100,7 @@ def weak_input_power_text(design: "Design", reference: str) -> str:
     extra_certificates = design.certificate.extra_certificates
     part = extra_certificates.get(MeasuredDiscs.part)
     if design.origin is None or not isinstance(part, MeasuredDiscs):
-        evidence_reasons = str(design.facts.get("evidence_reasons"))
+        evidence_reasons = str(design.result_columns.get("evidence_reasons"))
         note = UNEXCITED.search(evidence_reasons)
         angle = ANGLE.search(reference)
         if note is None or angle is None:
@@ -146,7 +146,7 @@ def unproved_properties_text(design: "Design") -> str:
     if design.origin is None and not design.stored_record:
         return "a rate of the loop of both; a loop whose input is limited; any other plant"
     words = "a rate of the loop of both; a loop in which a limit cuts the input"
-    coverage = design.facts.get("coverage") or 0.0
+    coverage = design.result_columns.get("coverage") or 0.0
     if coverage < 1:
         words += "; that the plant itself comes to rest"
     return f"{words}; amplitudes, frequencies and starts that no record visits"

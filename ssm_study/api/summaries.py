@@ -49,7 +49,7 @@ STABILITY = {True: "stays stable", False: "may not stay stable", None: "no predi
 
 def summarise_model(model: "Model") -> pd.Series:
     """Table of an identified model's properties: class, size, fits, poles, slopes and evidence."""
-    facts = model.facts
+    facts = model.result_columns
     data = model.data
     model_class = type(model.simulator).__name__
     lines: dict[str, Any] = {"class": model_class}
@@ -83,7 +83,7 @@ def summarise_model(model: "Model") -> pd.Series:
 def summarise_state_space(model: "Model", simulator: SSM | StructuredSSM) -> dict[str, Any]:
     """Summary lines that only a state-space model has: its size, its slowest pole, its slopes and
     how well data support the model."""
-    facts = model.facts
+    facts = model.result_columns
     moduli = np.abs(model.eigenvalues())
     slowest = moduli.max()
     sizes = chosen_sizes(model.identification.chosen)
@@ -160,10 +160,10 @@ def summarise_design(design: "Design") -> pd.Series:
     lines |= summarise_slowest_poles(slowest)
     if design.origin is not None or design.stored_record:
         lines["simulated"] = describe_simulated_loop(design)
-    if "evidence" in design.facts:
-        lines |= summarise_input_limits(design.facts, open_loop_rate)
+    if "evidence" in design.result_columns:
+        lines |= summarise_input_limits(design.result_columns, open_loop_rate)
         where = describe_deciding_band(design)
-        lines |= summarise_prediction(design.facts, acts, where)
+        lines |= summarise_prediction(design.result_columns, acts, where)
     elif design.origin is None and not design.stored_record:
         lines |= summarise_assumptions(certificate)
     return pd.Series(lines, name="design", dtype=object)

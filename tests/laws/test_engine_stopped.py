@@ -99,7 +99,7 @@ words = ["model=ssm", "training.max_epochs=100000", "training.patience=100000"]
 words += ["+training.checkpoint_every_s=0.01", "+training.starts=3"]
 try:
     model = st.fit(u, y, 0.1, *words, results_dir=RESULTS, keep_on_interrupt=KEEP)
-    print(model.facts["training_ended"], model.score(u, y) > 0)
+    print(model.result_columns["training_ended"], model.score(u, y) > 0)
 except KeyboardInterrupt:
     print("interrupted")
 print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)

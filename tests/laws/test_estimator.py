@@ -58,7 +58,7 @@ def test_a_search_over_time_finds_the_lags_that_the_plant_has() -> None:
     expected = (len(u), 1)
     predicted = search.predict(u)
     assert predicted.shape == expected
-    facts = search.best_estimator_.model_.facts
+    facts = search.best_estimator_.model_.result_columns
     fit_test_percent = facts["fit_test_percent"]
     assert fit_test_percent > 95
 
@@ -101,7 +101,7 @@ def test_model_comparison_and_estimator_score_a_stretch_alike() -> None:
     test = model.data.test[0]
     expected = fitted.score(test.u, test.y)
     expected_fit = pytest.approx(expected, abs=1e-9)
-    assert model.facts["fit_test_percent"] == expected_fit
+    assert model.result_columns["fit_test_percent"] == expected_fit
     score = model.score(test.u, test.y)
     assert score == expected
     comparison = st.compare([model], test.u, test.y)

@@ -307,7 +307,7 @@ def test_certify_says_what_to_give_in_place_of_other_objects(design: Design) -> 
 
 
 def test_facts_of_a_bare_design_are_its_proof(design: Design) -> None:
-    facts = design.facts
+    facts = design.result_columns
     assert facts["rate_controller"] == 0.5
     certificate = design.certificate
     certified_rate = certificate.certified_rate("state_feedback")
@@ -315,7 +315,7 @@ def test_facts_of_a_bare_design_are_its_proof(design: Design) -> None:
     assert facts["observer_gain_norm"] == certificate.observer.gain_norm
     assert design.record == facts
     infeasible = st.control(SYSTEM, rate=0.99, slopes=SLOPES)
-    reason = infeasible.facts["infeasible_reason"]
+    reason = infeasible.result_columns["infeasible_reason"]
     assert "allow only rates below 0.856" in reason
 
 

@@ -54,7 +54,7 @@ def test_the_fit_with_the_load_beats_the_fit_without_it(run: Path, tmp_path: Pat
     record = json.loads(text)
     assert record["disturbances"] == "torque"
     assert record["fit_test_percent"] > 90.0
-    lower_limit = without.facts["fit_test_percent"] + 30.0
+    lower_limit = without.result_columns["fit_test_percent"] + 30.0
     assert record["fit_test_percent"] > lower_limit
     assert "torque" in record["evidence_reasons"]
 

@@ -112,7 +112,7 @@ def test_python_predicts_with_the_mean_and_says_so(folder: Path, data: DataSet) 
     expected = np.mean(responses, axis=0)
     actual = model.predict(u)
     np.testing.assert_array_equal(actual, expected)
-    assert model.facts["members"] == 2
+    assert model.result_columns["members"] == 2
     assert "2 models" in model.summary()["mean that predicts"]
 
 

@@ -113,7 +113,7 @@ def test_a_linear_model_with_its_integrator_goes_the_whole_way(tmp_path: Path) -
     model = st.fit(u, pushed(u), 0.05, *words, "data.equilibrium=zero")
     assert isinstance(model.ssm, SSM)
     assert model.ssm.linear.integrates
-    assert model.facts["fit_test_percent"] > 90
+    assert model.result_columns["fit_test_percent"] > 90
     search = ("synthesis.integral_weights=[0.01]", "+synthesis.observer_rates=[0.1]")
     words = ("synthesis=auto_integral", "loop.initial_conditions=2", *FEW, *search)
     design = st.control(model, *words)
