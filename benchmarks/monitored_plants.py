@@ -27,7 +27,7 @@ from benchmarks.coverage_by_seed import IdentifiedCase
 from benchmarks.coverage_designs import MADE, ORDER
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
-from ssm_study.export.c_monitor import Monitor
+from ssm_study.export.c_monitor import MonitorConstants
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.motion import settling_times_s
 from ssm_study.loop.rollout import Rollouts
@@ -60,7 +60,7 @@ def changed_plant(plant: Plant, gain: float, delay: int) -> Plant:
 
 
 def flagged_at(
-    run: Rollouts, case: IdentifiedCase, design: Design, monitor: Monitor
+    run: Rollouts, case: IdentifiedCase, design: Design, monitor: MonitorConstants
 ) -> Float[np.ndarray, "N"]:
     """First sample of each case at which the monitor's flag is up; infinite without one."""
     part = design.extra_certificates["coverage"]
@@ -86,7 +86,7 @@ def rows_of_plant(name: str) -> list[dict[str, Any]]:
     case = IdentifiedCase.of(name, 0, [f"model.order={ORDER}"], fresh=0)
     _, design = case.choose()
     coverage = coverage_columns(design, case.model, case.premise).get("coverage")
-    monitor = Monitor.for_design(case.model, design)
+    monitor = MonitorConstants.for_design(case.model, design)
     if monitor is None or coverage is None or coverage < 1:
         return [{"plant": name, "gain": 1.0, "delay": 0, "coverage": coverage or "", "cases": 0}]
     controller = ObserverFeedback.from_design(case.model, design)

@@ -148,7 +148,7 @@ GROUPS = {
         planted=15,
     ),
     "export": Group(
-        modules=modules_of("export", "device", "rest_points", "portable", "c", "targets"),
+        modules=modules_of("export", "device", "equilibrium_curve", "portable", "c", "targets"),
         tests="tests/oracles/test_export_device.py tests/oracles/test_export_targets.py",
         planted=20,
     ),

@@ -10,8 +10,8 @@ import pytest
 from report_runs import random_run
 
 from ssm_study.export.c import render_c_files
-from ssm_study.export.c_monitor import Monitor
-from ssm_study.export.device import Device
+from ssm_study.export.c_monitor import MonitorConstants
+from ssm_study.export.device import DeviceController
 from ssm_study.export.targets import load_controller
 
 STRICT = ["-pedantic", "-Wall", "-Wextra", "-Werror"]
@@ -44,7 +44,7 @@ def device(
     channels: int = 1,
     real: str = "double",
     integral: bool | list[str] = False,
-) -> Device:
+) -> DeviceController:
     """With limits that the replay runs into."""
     size = {"channels": channels, "seed": channels}
     run = random_run(folder / "run", kind=kind, integral=integral, **size)
@@ -54,10 +54,12 @@ def device(
         scaled_limit = np.full(channels, sign * LIMIT)
         limit = controller.scale.physical_input(scaled_limit)
         ends.append(limit)
-    return Device.from_controller(controller, real, *ends)
+    return DeviceController.from_controller(controller, real, *ends)
 
 
-def written(device: Device, folder: Path, about: str = "test", name: str = "controller") -> Path:
+def written(
+    device: DeviceController, folder: Path, about: str = "test", name: str = "controller"
+) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     files = render_c_files(device, name, origin_text=about)
     for file, text in files.items():
@@ -83,7 +85,9 @@ def compiled(
     return replay.stdout
 
 
-def products(device: Device, folder: Path, monitor: Monitor | None = None) -> int:
+def products(
+    device: DeviceController, folder: Path, monitor: MonitorConstants | None = None
+) -> int:
     """How often the C code multiplies two floats in one sample: compiled as C++, with a type that
     counts."""
     files = render_c_files(device, origin_text="counted", monitor=monitor)

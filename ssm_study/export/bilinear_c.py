@@ -82,8 +82,8 @@ def render_replayed_signals(controller: BilinearFeedback, c_type: str) -> dict[s
 def simulate_replayed_signals(
     controller: BilinearFeedback,
 ) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T 1"]]:
-    """Random measured outputs for the replay program, and the inputs with which a bilinear
-    controller responds to them."""
+    """Random measured outputs for the replay program, and the inputs that a bilinear controller
+    computes from them."""
     rng = np.random.default_rng(0)
     scale = controller.model.scale
     levels = rng.uniform(-3.0, 3.0, (REPLAYED // 10, scale.outputs))

@@ -13,11 +13,11 @@ from jaxtyping import Float
 
 from ssm_study.bounds.network import InverseMap, PortableMap
 from ssm_study.export import c_monitor
-from ssm_study.export.c_monitor import Monitor
+from ssm_study.export.c_monitor import MonitorConstants
 from ssm_study.export.c_neurons import join_lines, render_neurons
 from ssm_study.export.c_tables import render_array, render_number
-from ssm_study.export.device import REALS, Device
-from ssm_study.export.rest_points import PiecewiseLinear
+from ssm_study.export.device import REALS, DeviceController
+from ssm_study.export.equilibrium_curve import PiecewiseLinear
 from ssm_study.refusal import require
 
 
@@ -54,14 +54,14 @@ LONELY_SLASH = r"(?<![A-Za-z0-9])/|/(?![A-Za-z0-9])"
 
 
 def render_c_files(
-    device: Device,
+    device: DeviceController,
     prefix: str = "controller",
     *,
     origin_text: str,
     signal_lines: Sequence[str] = (),
     certificate_digest: str = "",
     rate_lines: Sequence[str] = (),
-    monitor: Monitor | None = None,
+    monitor: MonitorConstants | None = None,
 ) -> dict[str, str]:
     """Names and texts of the C files of a controller: header, source and replay program.
 
@@ -110,7 +110,10 @@ def _render_source(prefix: str) -> str:
 
 
 def _render_header(
-    device: Device, comments: dict[str, str], prefix: str, monitor: Monitor | None
+    device: DeviceController,
+    comments: dict[str, str],
+    prefix: str,
+    monitor: MonitorConstants | None,
 ) -> str:
     """Text of the C header of a controller, with all constants and functions."""
     real = device.real
@@ -149,7 +152,7 @@ def _render_header(
     return _HEADER.substitute(texts)
 
 
-def _render_set_point_maps(device: Device, prefix: str) -> str:
+def _render_set_point_maps(device: DeviceController, prefix: str) -> str:
     """C functions that convert set points to equilibria of the controller's model."""
     points = device.set_point_maps
     assert points is not None
@@ -167,11 +170,9 @@ def _function_prototypes(c_code: str) -> str:
     return "".join(f"{line.removesuffix(' {')};\n" for line in opened)
 
 
-def _render_ramp_stop(device: Device) -> str:
-    """Line of C code that holds a ramp's internal model at an input limit; empty if not needed.
-
-    Integrators do so by themselves, and oscillators go on.
-    """
+def _render_ramp_stop(device: DeviceController) -> str:
+    """Line of C code that keeps the ramp states of the internal model constant while an input limit
+    is active; empty without such states. Integrators do so by themselves, and oscillators go on."""
     rows = device.controller.frozen_state_range
     if rows.stop <= rows.start:
         return ""
@@ -185,14 +186,12 @@ def _count_constants(c_code: str) -> int:
 
 
 def escape_comment(text: str) -> str:
-    """Replace characters of a text that would end a C comment or continue it on the next line.
-
-    The text may come from whatever name somebody gave a study.
-    """
+    """Replace characters of a text that would end a C comment or continue it on the next line. The
+    text may come from whatever name somebody gave a study."""
     return re.sub(rf"[^A-Za-z0-9 .,:;()\[\]%+=_'^/-]|\.\.\.|{LONELY_SLASH}", "_", text)
 
 
-def _template_values(device: Device, prefix: str) -> dict[str, object]:
+def _template_values(device: DeviceController, prefix: str) -> dict[str, object]:
     """Values for the placeholders of a template of C code: names, number type and dimensions."""
     controller = device.controller
     states, lifted = controller.b.shape
@@ -217,7 +216,7 @@ def _template_values(device: Device, prefix: str) -> dict[str, object]:
     }
 
 
-def _render_limits_comment(device: Device, has_set_points: bool) -> str:
+def _render_limits_comment(device: DeviceController, has_set_points: bool) -> str:
     """C comment that says how to use the exported controller within input limits. Measured
     disturbances are the last argument."""
     comment = WITHIN[has_set_points].replace("@", device.no_set_points_reason)
@@ -226,7 +225,7 @@ def _render_limits_comment(device: Device, has_set_points: bool) -> str:
     return comment.replace("y, r, u)", "y, r, u, d)").replace("y, u);   ", "y, u, d);")
 
 
-def _render_disturbance_update(device: Device, prefix: str) -> str:
+def _render_disturbance_update(device: DeviceController, prefix: str) -> str:
     """C code that adds the effect of measured disturbances to the next state; empty without
     disturbances."""
     disturbances = device.controller.scale.disturbances
@@ -242,7 +241,7 @@ def _render_disturbance_update(device: Device, prefix: str) -> str:
     return join_lines(lines)
 
 
-def _render_replay(device: Device, prefix: str) -> str:
+def _render_replay(device: DeviceController, prefix: str) -> str:
     """C program that replays measurements and compares the controller's inputs with expected ones.
 
     The measurements are levels within two scales of rest, also beyond the limits, with noise on

@@ -25,7 +25,7 @@ from jaxtyping import Float
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.export.c_tables import render_array, render_number
-from ssm_study.export.device import Device
+from ssm_study.export.device import DeviceController
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.systems import StateSpace
@@ -38,9 +38,9 @@ UNMONITORED = "the certificate covers no mismatch, or not that of this kind of m
 
 
 @dataclass(frozen=True, kw_only=True)
-class Filter:
-    """Weighting filter of one channel as a difference equation. Its state is `x_0 <- entering + a
-    x`, the others shifted by one; it gives `c x + d entering`, kappa included."""
+class WeightingFilter:
+    """Frequency weighting filter of one channel, as a difference equation. Its state is `x_0 <-
+    entering + a x`, the others shifted by one; it gives `c x + d entering`, kappa included."""
 
     a: Float[np.ndarray, "o"]
     c: Float[np.ndarray, "o"]
@@ -49,8 +49,8 @@ class Filter:
     @classmethod
     def from_matrices(
         cls, filter_matrix: Float[np.ndarray, "v v"], disc_radius: float
-    ) -> "Filter | None":
-        """Weighting filter from state-space matrices in controller canonical form; None for
+    ) -> "WeightingFilter | None":
+        """Convert state-space matrices in controller canonical form to a weighting filter; None for
         matrices in any other form. `[A, B; C, D]`."""
         order = len(filter_matrix) - 1
         shift = np.eye(order, k=-1)[1:]
@@ -67,23 +67,23 @@ class Filter:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Monitor:
-    """Constants of the monitor in the exported C code: centre of the disc of model errors, weights
-    and limits, in scaled units. Kappa is included. `states` of the model come first among the
-    controller's."""
+class MonitorConstants:
+    """Constants of the monitor in the exported C code, in scaled units: centre of the disc of model
+    errors, frequency weights and alarm limits. Kappa is included. `states` of the model come first
+    among the controller's."""
 
     states: int
     centre: float
     floor: float
-    output: Filter
-    input: Filter
+    output: WeightingFilter
+    input: WeightingFilter
     allowance: float
     limit: float
 
     @classmethod
-    def for_design(cls, model: Model, design: Design) -> "Monitor | None":
-        """Monitor for a design whose certificate holds for the recorded model error; None for any
-        other design.
+    def for_design(cls, model: Model, design: Design) -> "MonitorConstants | None":
+        """Constants of the monitor for a design whose certificate holds for the recorded model
+        error; None for any other design.
 
         The allowance is a standing error of the settling band in every output; the limit the energy
         with which the model comes to rest from outputs half their scale away. A loop that starts
@@ -94,8 +94,8 @@ class Monitor:
         if not is_proved or not isinstance(model, SSM) or model.scale.disturbances:
             return None
         assert isinstance(part, MeasuredDiscs)
-        output = Filter.from_matrices(part.weight_output, part.kappa)
-        into = Filter.from_matrices(part.weight_input, part.kappa)
+        output = WeightingFilter.from_matrices(part.weight_output, part.kappa)
+        into = WeightingFilter.from_matrices(part.weight_input, part.kappa)
         if output is None or into is None:
             return None
         return cls(
@@ -109,7 +109,7 @@ class Monitor:
         )
 
     def sum_limit(self, first_output: Float[np.ndarray, "p"]) -> float:
-        """Alarm limit of the running sum by which the model error exceeds its certified bound, for
+        """Alarm limit for the running sum by which the model error exceeds its certified bound, for
         a given first measured output. It is the energy of the decay from half a scale, or from
         `ROOM` times that output."""
         farther = (ROOM / START) ** 2 * float((first_output**2).sum())
@@ -117,8 +117,8 @@ class Monitor:
 
 
 def free_decay_energy(system: StateSpace) -> float:
-    """Output energy `sum |y|^2` of a linear system released from equilibria, summed over those with
-    one output at one and the others at zero."""
+    """Sum of the output energies `sum |y|^2` of a linear system released from each equilibrium at
+    which one output is one and the others are zero."""
     rest, _, gain = system.equilibrium_basis()
     starts = rest @ np.linalg.pinv(gain)
     observability = scipy.linalg.solve_discrete_lyapunov(system.a.T, system.c.T @ system.c)
@@ -156,7 +156,9 @@ REFUSED = f"""
 
 
 def render_monitor(
-    device: Device, monitor: Monitor | None, template_values: Mapping[str, object]
+    device: DeviceController,
+    monitor: MonitorConstants | None,
+    template_values: Mapping[str, object],
 ) -> dict[str, str]:
     """C code of the monitor, keyed by the placeholders of the template. Without a monitor, its
     switch in the header leads to a compiler error.
@@ -174,7 +176,7 @@ def render_monitor(
         texts[label] = render_number(getattr(monitor, label), real)
     channels = {"output": controller.scale.outputs, "input": controller.scale.inputs}
     for side, count in channels.items():
-        weight: Filter = getattr(monitor, side)
+        weight: WeightingFilter = getattr(monitor, side)
         order = len(weight.a)
         texts[f"{side}_order"] = order
         texts[f"{side}_states"] = max(order * count, 1)  # C has no array of size zero

@@ -3,11 +3,11 @@
 import re
 from collections.abc import Sequence
 
-from ssm_study.export.device import Device
+from ssm_study.export.device import DeviceController
 from ssm_study.models.structured import NEURONS
 
 
-def render_neurons(device: Device, prefix: str) -> dict[str, str]:
+def render_neurons(device: DeviceController, prefix: str) -> dict[str, str]:
     """C code for the neurons of a controller's model, keyed by placeholder; empty texts for a model
     without neurons.
 
@@ -33,7 +33,7 @@ def join_lines(lines: Sequence[str]) -> str:
     return "".join(f"{line}\n" for line in lines)
 
 
-def _render_neuron_function(device: Device, prefix: str) -> list[str]:
+def _render_neuron_function(device: DeviceController, prefix: str) -> list[str]:
     """Lines of C code of the function that computes the outputs of the neurons."""
     real = device.real
     neurons = device.controller.neurons
@@ -65,7 +65,7 @@ def _render_activation(activation: str, c_type: str) -> str:
     return code
 
 
-def _render_neuron_output(device: Device, prefix: str) -> list[str]:
+def _render_neuron_output(device: DeviceController, prefix: str) -> list[str]:
     """Lines of C code that add the neurons' contribution to the predicted output."""
     real = device.real
     neurons = device.controller.neurons
@@ -81,7 +81,7 @@ def _render_neuron_output(device: Device, prefix: str) -> list[str]:
     ]
 
 
-def _render_neuron_update(device: Device, prefix: str) -> list[str]:
+def _render_neuron_update(device: DeviceController, prefix: str) -> list[str]:
     """Lines of C code that add the neurons' contribution to the next state."""
     neurons = device.controller.neurons
     assert neurons is not None

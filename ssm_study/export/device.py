@@ -3,10 +3,10 @@
 For a set point r the law aims at the equilibrium of the model nearest to it: `v* = S_u^{-1}(G^+
 S_y^{-1}(w_r))`, clamped to the limits, `x* = (I - A)^{-1} B S_u(v*)`, `G = C (I - A)^{-1} B + D`,
 and applies `u = clamp(u_eq + s_u (v* + K (x - x*)))`; with neurons equilibria are read from a curve
-(`rest_points`). The observer uses the input that was applied, so a limit does not disturb the
-estimate, and no error enters an internal model while it acts: nothing winds up. `Device` is also
-its own oracle: `recomputed_inputs` runs the law in NumPy, one rounding for one rounding of the C
-code compiled with `-ffp-contract=off`.
+(`equilibrium_curve`). The observer uses the input that was applied, so a limit does not disturb the
+estimate, and no error enters an internal model while it acts: nothing winds up. `DeviceController`
+is also its own oracle: `recomputed_inputs` runs the law in NumPy, one rounding for one rounding of
+the C code compiled with `-ffp-contract=off`.
 """
 
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.bounds.network import InverseMap, PortableMap, invert_map
-from ssm_study.export.portable import PortableController, Vector, convert_floats, multiply_in_order
-from ssm_study.export.rest_points import (
+from ssm_study.export.equilibrium_curve import (
     EquilibriumCurve,
     PiecewiseLinear,
     compute_equilibrium_curve,
     evaluate_equilibrium_map,
 )
+from ssm_study.export.portable import PortableController, Vector, convert_floats, multiply_in_order
 from ssm_study.refusal import require_one_of
 from ssm_study.systems import StateSpace
 
@@ -35,12 +35,9 @@ IDLE = 1e-9  # relative: a direction of inputs below it moves no output at rest
 @dataclass(frozen=True, kw_only=True)
 class SetPoints:
     """Maps from set points to equilibria of the controller's model, and from equilibria to set
-    points.
-
-    `to_lifted (k, q)` is `G^+`, `at_rest (n, k)` is `(I - A)^{-1} B` over zeros, `seen (q, k)`
-    is G. With neurons each is a line through stored points, which misses what S_y reads by at most
-    `missed`.
-    """
+    points. `to_lifted (k, q)` is `G^+`, `at_rest (n, k)` is `(I - A)^{-1} B` over zeros, `seen (q,
+    k)` is G. With neurons each is a line through stored points, which misses what S_y reads by at
+    most `missed`."""
 
     to_lifted: (
         Float[np.ndarray, "k q"] | PiecewiseLinear
@@ -53,14 +50,13 @@ class SetPoints:
 
     @property
     def equilibrium_maps(self) -> dict[str, Any]:
-        """The three maps between set points and equilibria of the controller's model, keyed by
-        name."""
+        """Three maps between set points and equilibria of the controller's model, keyed by name."""
         names = ("to_lifted", "at_rest", "seen")
         return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Device:
+class DeviceController:
     """Controller as it runs on a device: rounded numbers, input limits, and operations in the order
     of the C code.
 
@@ -78,8 +74,8 @@ class Device:
     @classmethod
     def from_controller(
         cls, controller: PortableController, c_type: str, lower: Vector, upper: Vector
-    ) -> "Device":
-        """Controller for a device, all of whose numbers are rounded to a float type.
+    ) -> "DeviceController":
+        """Round all numbers of a controller to the float type of a device.
 
         Missing limits become the largest `c_type`.
         """
@@ -120,7 +116,7 @@ class Device:
 
     @property
     def no_set_points_reason(self) -> str:
-        """Clause that says why a device cannot compute equilibria for set points; empty if it
+        """Clause that says why the controller cannot compute equilibria for set points; empty if it
         can."""
         if self.set_point_maps is not None:
             return ""
@@ -222,7 +218,9 @@ class Device:
         controller = self.controller
         points = self.set_point_maps
         inputs = len(controller.k)
-        maps = _count_map_products(controller.s_in) + _count_map_products(controller.s_out)
+        maps = _count_map_multiplications(controller.s_in) + _count_map_multiplications(
+            controller.s_out
+        )
         tables = self.constant_tables().values()
         matrices = sum(table.size for table in tables if table.ndim == 2)
         products = maps + matrices
@@ -232,9 +230,11 @@ class Device:
             products += neurons.f.size + neurons.g.size + neurons.l_z.size
         if points is None:  # the input is computed twice, and compared
             return products + controller.k.size + 3 * inputs
-        inverses = _count_inverse_products(points.inward) + _count_inverse_products(points.outward)
+        inverses = _count_inverse_multiplications(points.inward) + _count_inverse_multiplications(
+            points.outward
+        )
         parts = points.equilibrium_maps.values()
-        reaching = sum(_count_multiplications(part) for part in parts)
+        reaching = sum(_count_equilibrium_multiplications(part) for part in parts)
         return products + reaching + inverses + maps + 2 * inputs
 
     def equilibrium_state(self, output: Vector) -> Vector:
@@ -257,8 +257,8 @@ class Device:
         set_point: Vector,
         disturbance_or_none: Vector | None = None,
     ) -> tuple[Vector, Vector]:
-        """Input of the controller for one sample, saturated at the input limits, and the
-        controller's next state.
+        """Input of the controller for one sample, clipped to the input limits, and the controller's
+        next state.
 
         Without set points the law steers towards the equilibrium. Measured disturbances that are
         not given are at theirs.
@@ -297,8 +297,8 @@ class Device:
         return u, following
 
     def nearest_equilibrium(self, set_point: Vector) -> dict[str, Vector]:
-        """Equilibrium of the controller's model, within the input limits, that is nearest to a set
-        point.
+        """Equilibrium of the controller's model for a set point, with the input clipped to the
+        input limits.
 
         State `x`, scaled input `v` and output `w`.
         """
@@ -349,8 +349,8 @@ class Device:
         return np.stack(applied)
 
 
-def _count_map_products(static_map: PortableMap) -> int:
-    """Number of multiplications in one evaluation of a static map."""
+def _count_map_multiplications(static_map: PortableMap) -> int:
+    """Number of scalar multiplications in one evaluation of a static map."""
     network = static_map.network
     products = static_map.linear.size
     if network is not None:
@@ -358,15 +358,15 @@ def _count_map_products(static_map: PortableMap) -> int:
     return products
 
 
-def _count_inverse_products(inverse_map: InverseMap) -> int:
-    """Number of multiplications in one evaluation of the inverse of a static map."""
+def _count_inverse_multiplications(inverse_map: InverseMap) -> int:
+    """Number of scalar multiplications in one evaluation of the inverse of a static map."""
     if inverse_map.matrix is None:
         return len(inverse_map.channels)
     return inverse_map.matrix.size
 
 
-def _count_multiplications(equilibrium_map: Any) -> int:
-    """Number of multiplications in one evaluation of a map from set points to equilibria."""
+def _count_equilibrium_multiplications(equilibrium_map: Any) -> int:
+    """Number of scalar multiplications in one evaluation of a map from set points to equilibria."""
     if isinstance(equilibrium_map, PiecewiseLinear):
         return equilibrium_map.slopes.shape[1]
     return equilibrium_map.size

@@ -51,7 +51,7 @@ class _GraphBuilder:
         """Append to the ONNX graph the product of a signal and a transposed matrix."""
         return self.append_operator("MatMul", signal, matrix.T)
 
-    def append_map(self, static_map: PortableMap, argument: str) -> str:
+    def append_static_map(self, static_map: PortableMap, argument: str) -> str:
         """Append to the ONNX graph the evaluation of a static map, layer by layer. `phi(z) -
         phi(b)`."""
         terms = [self.append_product(argument, static_map.linear)]
@@ -160,7 +160,7 @@ def _build_controller_graph(controller: PortableController) -> _GraphBuilder:
     v = graph.append_product("state", controller.k)
     physical = graph.append_operator("Mul", v, scale.input_scale)
     graph.append_operator("Add", physical, scale.input_equilibrium, output="u")
-    lifted = graph.append_map(controller.s_in, v)
+    lifted = graph.append_static_map(controller.s_in, v)
     from_state = graph.append_product("state", controller.c)
     from_input = graph.append_product(lifted, controller.d)
     read = graph.append_operator("Add", from_state, from_input)
@@ -168,7 +168,7 @@ def _build_controller_graph(controller: PortableController) -> _GraphBuilder:
         neuron_outputs = graph.append_neurons(neurons, "state", lifted)
         from_neurons = graph.append_product(neuron_outputs, neurons.h)
         read = graph.append_operator("Add", read, from_neurons)
-    predicted = graph.append_map(controller.s_out, read)
+    predicted = graph.append_static_map(controller.s_out, read)
     shifted = graph.append_operator("Sub", "y", scale.output_equilibrium)
     measured = graph.append_operator("Div", shifted, scale.output_scale)
     error = graph.append_operator("Sub", predicted, measured)

@@ -244,7 +244,7 @@ def multiply_in_order(
 
 
 def convert_floats(item: Any, float_type: Any) -> Any:
-    """Copy of an object in which every array, at any depth, is converted to a given float type."""
+    """Copy an object, with every array at any depth converted to a given float type."""
     if isinstance(item, np.ndarray):
         return item.astype(float_type)
     if isinstance(item, tuple):

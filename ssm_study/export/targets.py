@@ -21,8 +21,8 @@ from ssm_study.certificates.theorems.integral_action import augmented_system, co
 from ssm_study.data.mcap import read_mcap
 from ssm_study.durable import write_atomically
 from ssm_study.export.c import render_c_files
-from ssm_study.export.c_monitor import Monitor
-from ssm_study.export.device import Device
+from ssm_study.export.c_monitor import MonitorConstants
+from ssm_study.export.device import DeviceController
 from ssm_study.export.onnx import build_onnx_model
 from ssm_study.export.portable import PortableController, convert_controller, convert_floats
 from ssm_study.models.identified import SSM
@@ -47,12 +47,10 @@ _SCRIPT = Path(__file__).with_name("script.py.txt")
 def write_controller(
     run: Path, to: Path, *, real: str = "double", prefix: str = "controller"
 ) -> list[Path]:
-    """Write the controller of a run to files of all export formats in a folder.
-
-    C in `real`, "double" or "float", whose names begin with `prefix`, and the other files of
+    """Write the controller of a run to files of all export formats in a folder. C in `real`,
+    "double" or "float", whose names begin with `prefix`, and the other files of
     docs/howto_export.md. Raises `BadRequest` for a run without controller, an unknown `real`, or
-    when `to` is a file.
-    """
+    when `to` is a file."""
     sources = render_controller(run, real=real, prefix=prefix)
     require(not to.exists() or to.is_dir(), "to", to, "is a file", "name a folder")
     to.mkdir(parents=True, exist_ok=True)
@@ -80,7 +78,7 @@ def render_controller(
     """
     controller = load_controller(run)
     design = Design.load(run / "certificate.json")
-    device = Device.from_controller(controller, real, *find_input_limits(run))
+    device = DeviceController.from_controller(controller, real, *find_input_limits(run))
     rates = prove_deployed_rates(device, design)
     sides = ", ".join(f"{side.replace('_', ' ')} {rate or 'none'}" for side, rate in rates.items())
     proved = f"Rates proved for the numbers below, in {real}: {sides}."
@@ -95,7 +93,7 @@ def render_controller(
             *_describe_limits(run, design, device),
             *_describe_rounding_error(run, device),
         ),
-        monitor=Monitor.for_design(load_model(run), design),
+        monitor=MonitorConstants.for_design(load_model(run), design),
     )
 
 
@@ -141,7 +139,7 @@ def _read_recorded_ranges(
     return channels, values.min(axis=0), values.max(axis=0)
 
 
-def _describe_signals(run: Path, device: Device) -> tuple[str, ...]:
+def _describe_signals(run: Path, device: DeviceController) -> tuple[str, ...]:
     """Lines of text with the name, unit and range of every signal of an exported controller."""
     lines: list[str] = []
     inputs = _read_recorded_ranges(run, "excitation.mcap", "/input")
@@ -168,7 +166,7 @@ def _describe_ranges(
     return lines
 
 
-def _describe_limits(run: Path, design: Design, device: Device) -> tuple[str, ...]:
+def _describe_limits(run: Path, design: Design, device: DeviceController) -> tuple[str, ...]:
     """Sentences on what the certificate of a design proves under the input limits."""
     lower = np.asarray(device.lower, dtype=float)
     upper = np.asarray(device.upper, dtype=float)
@@ -204,7 +202,7 @@ def _describe_limits(run: Path, design: Design, device: Device) -> tuple[str, ..
     return inside, beyond
 
 
-def _describe_set_point_error(device: Device) -> tuple[str, ...]:
+def _describe_set_point_error(device: DeviceController) -> tuple[str, ...]:
     """Text on the largest error of equilibria that are interpolated between tabulated ones."""
     if device.set_point_maps is None or not device.set_point_maps.missed:
         return ()
@@ -288,7 +286,7 @@ def failed_certificate_claims(run: Path, model: Model, design: Design) -> list[s
     return failed_checks(content, model.system, certified_balls(model), controlled)
 
 
-def _describe_rounding_error(run: Path, device: Device) -> tuple[str, ...]:
+def _describe_rounding_error(run: Path, device: DeviceController) -> tuple[str, ...]:
     """Text on how much rounding of the controller's numbers changes the simulated loop; empty in
     double precision.
 
@@ -298,7 +296,7 @@ def _describe_rounding_error(run: Path, device: Device) -> tuple[str, ...]:
         return ()
     lower = device.lower.astype(float)
     upper = device.upper.astype(float)
-    exact = Device.from_controller(load_controller(run), "double", lower, upper)
+    exact = DeviceController.from_controller(load_controller(run), "double", lower, upper)
     model = load_model(run)
     output_equilibrium = model.scale.output_equilibrium
     output_scale = model.scale.output_scale
@@ -309,7 +307,9 @@ def _describe_rounding_error(run: Path, device: Device) -> tuple[str, ...]:
     return (f"Rounding to {device.real} moves the loop on the model {distance}",)
 
 
-def _simulate_loop(model: Model, device: Device, initial_state: Float[np.ndarray, "n"]) -> Any:
+def _simulate_loop(
+    model: Model, device: DeviceController, initial_state: Float[np.ndarray, "n"]
+) -> Any:
     """Outputs of a model in closed loop with the exported controller, until they settle."""
     kind = device.lower.dtype
     output_equilibrium = model.scale.output_equilibrium
@@ -328,7 +328,7 @@ def _simulate_loop(model: Model, device: Device, initial_state: Float[np.ndarray
     return np.array(outputs)
 
 
-def prove_deployed_rates(device: Device, design: Design) -> dict[str, float | None]:
+def prove_deployed_rates(device: DeviceController, design: Design) -> dict[str, float | None]:
     """Contraction rates that exact arithmetic proves for the rounded numbers of a controller.
 
     Proved with the stored metrics. The device is an observer for its own rounded model, so that
@@ -369,7 +369,7 @@ def prove_deployed_rates(device: Device, design: Design) -> dict[str, float | No
 def _provable_rate(
     part: Theorem, context: VerificationContext, rounded_gains: dict[str, Float[np.ndarray, "r c"]]
 ) -> float:
-    """Largest contraction rate, up to the certified one, that exact arithmetic proves for the
+    """Largest contraction rate, not above the certified one, that exact arithmetic proves for the
     rounded numbers of a controller. It is found by bisection; 0 if none can be proved."""
     ball = part.required_ball(context)
     stored = float(part.variables["rate"])

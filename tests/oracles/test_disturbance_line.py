@@ -14,7 +14,7 @@ from export_cases import compiled
 import ssm_study as st
 from ssm_study.cli.main import main
 from ssm_study.export.c import render_c_files
-from ssm_study.export.device import Device
+from ssm_study.export.device import DeviceController
 from ssm_study.export.targets import as_python_control, load_controller
 from ssm_study.loop.certified_bound import count_bound_violations
 from ssm_study.loop.controller import ObserverFeedback
@@ -156,7 +156,9 @@ def test_c_with_neurons_and_two_loads(tmp_path: Path) -> None:
         scale=model.scale, step_s=model.step_s, neurons=neurons,
         b_d=model.b_d,
     )  # fmt: skip
-    device = Device.from_controller(controller, "double", np.array([-9.0]), np.array([9.0]))
+    device = DeviceController.from_controller(
+        controller, "double", np.array([-9.0]), np.array([9.0])
+    )
     for name, text in render_c_files(device, origin_text="test").items():
         (tmp_path / name).write_text(text)
     sources = ("controller_replay.c", "-lm")

@@ -18,7 +18,7 @@ from ssm_study.bounds.network import invert_map
 from ssm_study.certificates.certificate import Design
 from ssm_study.cli.main import main
 from ssm_study.export.c import escape_comment, render_c_files
-from ssm_study.export.device import Device
+from ssm_study.export.device import DeviceController
 from ssm_study.export.targets import load_controller, prove_deployed_rates, render_controller
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.trajectory import set_point_equilibria
@@ -210,12 +210,14 @@ def test_rounding_is_certified_for_what_is_deployed(certified: Path) -> None:
     design = Design.load(certified / "certificate.json")
     controller = load_controller(certified)
     none = np.array([np.inf])
-    exact = prove_deployed_rates(Device.from_controller(controller, "double", -none, none), design)
+    exact = prove_deployed_rates(
+        DeviceController.from_controller(controller, "double", -none, none), design
+    )
     proved = {side: design.certified_rate(side) for side in ("state_feedback", "observer")}
     assert exact == proved  # the largest of these gains
     assert proved["state_feedback"] > 0.3  # what was asked
     assert proved["observer"] > 0.4
-    single = Device.from_controller(controller, "float", -none, none)
+    single = DeviceController.from_controller(controller, "float", -none, none)
     rounded = prove_deployed_rates(single, design)
     controller_a = single.controller.a
     controller_b = single.controller.b
@@ -238,7 +240,7 @@ def test_a_rate_that_rounding_costs_is_the_largest_that_is_left(certified: Path)
     design = Design.load(certified / "certificate.json")
     none = np.array([np.inf])
     part = design.state_feedback
-    device = Device.from_controller(load_controller(certified), "double", -none, none)
+    device = DeviceController.from_controller(load_controller(certified), "double", -none, none)
     state_feedback = replace(part, rate=0.99)
     faster = replace(design, state_feedback=state_feedback, extra_certificates={})
     found = prove_deployed_rates(device, faster)["state_feedback"]

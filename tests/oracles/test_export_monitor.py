@@ -14,8 +14,8 @@ from test_coverage import BALLS, MODEL, design, premise, scaled_model
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.export.c import render_c_files
-from ssm_study.export.c_monitor import Monitor, free_decay_energy
-from ssm_study.export.device import Device
+from ssm_study.export.c_monitor import MonitorConstants, free_decay_energy
+from ssm_study.export.device import DeviceController
 from ssm_study.export.portable import convert_controller
 from ssm_study.models.identified import SSM
 from ssm_study.robustness.coverage import running_constraint_sum
@@ -49,19 +49,19 @@ def covered() -> tuple[SSM, Design]:
 
 
 @pytest.fixture(scope="module")
-def monitor(covered: tuple[SSM, Design]) -> Monitor:
-    coverage_monitor = Monitor.for_design(*covered)
+def monitor(covered: tuple[SSM, Design]) -> MonitorConstants:
+    coverage_monitor = MonitorConstants.for_design(*covered)
     assert coverage_monitor is not None
     return coverage_monitor
 
 
 @pytest.fixture(scope="module")
-def device(covered: tuple[SSM, Design]) -> Device:
+def device(covered: tuple[SSM, Design]) -> DeviceController:
     controller = convert_controller(*covered)
-    return Device.from_controller(controller, "double", *UNLIMITED)
+    return DeviceController.from_controller(controller, "double", *UNLIMITED)
 
 
-def write_sources(folder: Path, device: Device, monitor: Monitor) -> None:
+def write_sources(folder: Path, device: DeviceController, monitor: MonitorConstants) -> None:
     """Write the C files of a monitored controller, and a program that reads samples."""
     files = render_c_files(device, origin_text="test", monitor=monitor)
     for file, text in files.items():
@@ -76,7 +76,9 @@ Watch = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @pytest.fixture(scope="module")
-def watched(device: Device, monitor: Monitor, tmp_path_factory: pytest.TempPathFactory) -> Watch:
+def watched(
+    device: DeviceController, monitor: MonitorConstants, tmp_path_factory: pytest.TempPathFactory
+) -> Watch:
     """Sum and flag of the C code at each sample, for outputs and applied inputs."""
     folder = tmp_path_factory.mktemp("monitor")
     write_sources(folder, device, monitor)
@@ -154,7 +156,7 @@ def sum_above_zero(added: np.ndarray) -> np.ndarray:
 
 
 def test_the_sum_is_the_running_sum_of_the_premise_that_never_falls_below_zero(
-    covered: tuple[SSM, Design], monitor: Monitor, watched: Watch
+    covered: tuple[SSM, Design], monitor: MonitorConstants, watched: Watch
 ) -> None:
     part = part_of(covered[1])
     rng = np.random.default_rng(0)
@@ -247,7 +249,7 @@ def test_a_decay_from_afar_raises_no_flag(covered: tuple[SSM, Design], watched: 
     """The plant is its model and starts three scales away, the monitor's model at rest."""
     model, certified = covered
     y, u, _, _ = loop(certified, lambda m, _: m, 3.0)
-    limit = Monitor.for_design(*covered).limit
+    limit = MonitorConstants.for_design(*covered).limit
     energy = free_decay_energy(model.linear) * 3.0**2
     assert energy > 30 * limit
     _, flags = watched(y, u)
@@ -272,7 +274,7 @@ def test_a_plant_that_the_loop_loses_is_flagged_before_it_leaves(
 
 
 def test_it_costs_less_than_the_controller_again(
-    device: Device, monitor: Monitor, tmp_path: Path
+    device: DeviceController, monitor: MonitorConstants, tmp_path: Path
 ) -> None:
     without = products(device, tmp_path / "without")
     with_it = products(device, tmp_path / "with", monitor)
@@ -284,9 +286,9 @@ def test_it_costs_less_than_the_controller_again(
 def test_without_a_proof_there_is_none(covered: tuple[SSM, Design]) -> None:
     model = covered[0]
     uncovered = design()
-    assert Monitor.for_design(model, uncovered) is None
+    assert MonitorConstants.for_design(model, uncovered) is None
     controller = convert_controller(model, uncovered)
-    bare = Device.from_controller(controller, "double", *UNLIMITED)
+    bare = DeviceController.from_controller(controller, "double", *UNLIMITED)
     files = render_c_files(bare, origin_text="test")
     header = files["controller.h"]
     assert '#error "no monitor' in header

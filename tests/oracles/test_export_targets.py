@@ -17,7 +17,7 @@ from structured_cases import model as structured
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
-from ssm_study.export.device import Device
+from ssm_study.export.device import DeviceController
 from ssm_study.export.targets import (
     find_input_limits,
     load_controller,
@@ -211,7 +211,7 @@ def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
     content = json.loads(text)
     model = model_from_json(content)
     ends = (-2.0, 2.0)
-    device = Device.from_controller(
+    device = DeviceController.from_controller(
         load_controller(run),
         "double",
         *(model.scale.physical_input(np.array([end])) for end in ends),
@@ -269,10 +269,10 @@ def test_an_output_that_two_rest_points_share_has_no_set_points(tmp_path: Path) 
     neurons = replace(made.neurons, **turned, phi_bias=phi_bias)
     folded = replace(made, neurons=neurons)
     ends = [made.scale.physical_input(np.array([end])) for end in (-0.5, 0.5)]
-    device = Device.from_controller(folded, "double", *ends)
+    device = DeviceController.from_controller(folded, "double", *ends)
     assert device.set_point_maps is None
     assert device.no_set_points_reason.startswith("two equilibria of the model have one output")
-    device = Device.from_controller(made, "double", *ends)
+    device = DeviceController.from_controller(made, "double", *ends)
     assert device.set_point_maps is not None
     assert device.no_set_points_reason == ""
     two_inputs = replace(device, lower=np.zeros(2), upper=np.ones(2))
@@ -331,7 +331,7 @@ def test_the_replay_of_neurons_in_c(tmp_path: Path, kinds: tuple[str, ...], real
     itself holds."""
     made = load_controller(structured_run(tmp_path / "run", kinds, 0.02))
     ends = (-0.5, 0.5)
-    device = Device.from_controller(
+    device = DeviceController.from_controller(
         made, real, *(made.scale.physical_input(np.array([end])) for end in ends)
     )
     folder = written(device, tmp_path / "c")
@@ -339,7 +339,7 @@ def test_the_replay_of_neurons_in_c(tmp_path: Path, kinds: tuple[str, ...], real
     sources = ("controller_replay.c", *words)
     text = compiled(folder, sources=sources)
     assert "tanh" in kinds or text.startswith("0 of 200 inputs differ")
-    free = Device.from_controller(
+    free = DeviceController.from_controller(
         made, "double", *(made.scale.physical_input(np.array([end])) for end in (-1e6, 1e6))
     )
     assert (
@@ -365,7 +365,7 @@ def test_rates_of_neurons_are_proved_for_the_deployed_floats(tmp_path: Path) -> 
     for real in ("double", "float"):
         lower = np.array([-np.inf])
         upper = np.array([np.inf])
-        device = Device.from_controller(load_controller(run), real, lower, upper)
+        device = DeviceController.from_controller(load_controller(run), real, lower, upper)
         rates = prove_deployed_rates(device, design)
         assert 0.45 < rates["state_feedback"] <= 0.5
         assert 0.45 < rates["observer"] <= 0.5

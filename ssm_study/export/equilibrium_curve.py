@@ -1,4 +1,4 @@
-"""Tabulated equilibria of the controller's model over the range of its input. They are found by
+"""Tabulated equilibria of the controller's model over the range of the input. They are found by
 matrices, or with neurons by interpolation between stored points.
 
 With neurons `x = A x + B v + E w(x, v)` has no closed form. It has one solution for each v, since
@@ -36,7 +36,7 @@ class PiecewiseLinear:
 
     @classmethod
     def interpolate(cls, arguments: Vector, values: Rows) -> "PiecewiseLinear":
-        """Piecewise-linear map that passes through given points."""
+        """Construct the piecewise-linear map through given points."""
         order = np.argsort(arguments)
         arguments = arguments[order]
         values = values[order]
@@ -65,7 +65,7 @@ def evaluate_equilibrium_map(
 
 @dataclass(frozen=True, kw_only=True)
 class EquilibriumCurve:
-    """Equilibria of a model with neurons, listed by increasing output of its static input map.
+    """Equilibria of a model with neurons, ordered by the value of the mapped input.
 
     For each of `lifted (h,)`: states `x (h, n)`, and the arguments of S_y, `read (h,)`.
 
@@ -80,7 +80,7 @@ class EquilibriumCurve:
 def compute_equilibrium_curve(
     controller: PortableController, lowest_input: float, highest_input: float
 ) -> EquilibriumCurve | None:
-    """Equilibria of a model with neurons over a range of inputs after the static map; None where
+    """Equilibria of a model with neurons over a range of values of the mapped input; None where
     they are not unique or not found.
 
     None where two of them share an output, or one is not found.
@@ -118,12 +118,12 @@ def compute_equilibrium_curve(
 def _find_equilibrium(
     model: StructuredSystem, neurons: PortableNeurons, mapped_input: float, start: Vector
 ) -> Vector | None:
-    """Equilibrium state of a model with neurons for one input after the static map; None if none is
+    """Equilibrium state of a model with neurons for one value of the mapped input; None if none is
     found."""
 
     def equilibrium_residual(x: Vector) -> tuple[Vector, Float[np.ndarray, "n n"]]:
-        """Difference between the next state of the model and its present state, with the
-        Jacobian."""
+        """Difference between the next state of the model and its present state, with the Jacobian
+        of this difference."""
         z = model.f @ x + model.g[:, 0] * mapped_input + neurons.bias
         w = evaluate_activations(neurons.kinds, z) - neurons.phi_bias
         slopes = evaluate_activations(neurons.kinds, z, "slope")
