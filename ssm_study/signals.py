@@ -27,8 +27,8 @@ class Channel:
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectory:
-    """Measured or simulated signals of one experiment. `u[k]` is constant over `[k, k+1) step_s`,
-    `y[k]` is sampled at `k step_s`, before `u[k]` acts.
+    """Measured or simulated signals of one experiment: inputs, outputs and measured disturbances.
+    `u[k]` is constant over `[k, k+1) step_s`, `y[k]` is sampled at `k step_s`, before `u[k]` acts.
 
     Shapes: `u (T, m)`, `y (T, p)`, both in physical units; `d (T, k)` are measured disturbances,
     held as `u` is, None where there are none. In a `closed_loop` the input answers the output. A
@@ -131,8 +131,8 @@ def lagged_inputs(u: Float[np.ndarray, "T m"], lags: int) -> Float[np.ndarray, "
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """Offsets and scales between physical and dimensionless signals. `u = u_eq + s_u v, y = y_eq +
-    s_y w`, pure gains around the equilibrium.
+    """Offsets and scales that convert physical to dimensionless signals. `u = u_eq + s_u v, y =
+    y_eq + s_y w`, pure gains around the equilibrium.
 
     So zero stays zero, and a model with `S_u(0) = S_y(0) = 0` rests at the equilibrium. Shapes:
     `input_* (m,)`, `output_* (p,)`, and `disturbance_* (k,)` of measured disturbances, empty where
@@ -232,8 +232,8 @@ Ends = tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]
 
 
 def input_limits(lower: Limit, upper: Limit, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> Ends:
-    """Lower and upper limit of each input, as given or from the range of the recorded inputs.
-    Raises `BadRequest` if their number differs from that of the inputs."""
+    """Lower and upper limit of each input, as given or else taken from the range of the recorded
+    inputs. Raises `BadRequest` if their number differs from that of the inputs."""
     recorded = np.concatenate(inputs)
     limits = []
     for name, given_limit, end in (

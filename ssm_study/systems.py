@@ -228,7 +228,7 @@ class Gains:
 
     @property
     def modes(self) -> Float[np.ndarray, "z z"]:
-        """State matrix of the internal model in the controller, of size zero if there is none."""
+        """State matrix of the controller's internal model, of size zero if there is none."""
         return (
             np.eye(self.k.shape[-1] - self.l.shape[-2]) if self.internal is None else self.internal
         )
@@ -240,8 +240,8 @@ class Gains:
 
 
 def error_input_matrix(modes: Float[np.ndarray, "z z"], outputs: int) -> Float[np.ndarray, "z p"]:
-    """Input matrix by which the control error drives the controller's internal model. Each output
-    enters all states of its own copy alike."""
+    """Input matrix through which the control error drives the controller's internal model. Each
+    output enters all states of its own copy alike."""
     return np.tile(np.eye(outputs), (len(modes) // outputs, 1))
 
 

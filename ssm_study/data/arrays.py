@@ -25,8 +25,8 @@ LATEST = 0.5  # periods by which a time of an index may be off an even clock
 
 
 @dataclass(frozen=True)
-class LoggedArrays:
-    """Paths of the log files that arrays were written to, with the column names of inputs, outputs
+class WrittenLogs:
+    """Paths of the log files to which arrays were written, with the column names of inputs, outputs
     and disturbances."""
 
     paths: list[str]
@@ -37,7 +37,7 @@ class LoggedArrays:
 
 def write_log_files(
     u: Any, y: Any, folder: Path, step_s: float | None = None, disturbance: Any = None
-) -> LoggedArrays:
+) -> WrittenLogs:
     """Write input and output arrays of one or several experiments to log files, one file per
     experiment. Each becomes `logs/<digest>.parquet`, so that equal numbers give the same run."""
     is_list = isinstance(u, list | tuple) and len(u) > 0
@@ -70,7 +70,7 @@ def write_log_files(
         table.to_parquet(path)
         paths.append(str(path))
     disturbances = columns.get("disturbance", [])
-    return LoggedArrays(paths, columns["u"], columns["y"], disturbances)
+    return WrittenLogs(paths, columns["u"], columns["y"], disturbances)
 
 
 def combine_signal_columns(
@@ -170,7 +170,7 @@ def disturbance_array(
 
 
 def select_columns(frame: pd.DataFrame, name: str, columns: Sequence[str]) -> pd.DataFrame:
-    """Select the columns of a data frame in the order of the model's channels.
+    """Columns of a data frame in the order in which the model has its channels.
 
     A frame whose columns have no names of their own (0, 1, ...) is taken by place.
     """

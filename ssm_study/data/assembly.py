@@ -111,7 +111,7 @@ def _refuse_constant_channels(
         require(moves, channel.name, column[0], problem, remedy)
 
 
-def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."]], dict[str, Any]]:
+def dataset_to_arrays(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."]], dict[str, Any]]:
     """Convert a data set to the form in which it is stored: named numeric arrays, and a dictionary
     of names, units and periods. Arrays `part/i/u`, `part/i/y` (and `d`) and the vectors of the
     scale; names, units and periods in the dictionary."""
@@ -142,11 +142,10 @@ def _record_metadata(record: Trajectory) -> dict[str, Any]:
     return {name: getattr(record, name) for name in TOLD}
 
 
-def dataset_from_tensors(
+def dataset_from_arrays(
     arrays: dict[str, Float[np.ndarray, "..."]], metadata: dict[str, Any]
 ) -> DataSet:
-    """Rebuild a data set from its stored form, the arrays and the dictionary that
-    `dataset_to_tensors` returns."""
+    """Rebuild a data set from the arrays and the dictionary that `dataset_to_arrays` returns."""
     parts: dict[str, Any] = {}
     parts["start_up_samples"] = metadata["start_up_samples"]
     parts["metadata"] = metadata["metadata"]

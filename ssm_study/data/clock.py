@@ -307,8 +307,8 @@ def interpolate_pieces(
     period_s: float,
     remarks: list[str],
 ) -> EvenRows:
-    """Resample the pieces of a log between its gaps at evenly spaced times, with held inputs kept
-    piecewise constant."""
+    """Resample each gap-free piece of a log at evenly spaced times; held inputs stay piecewise
+    constant."""
     cut: list[np.ndarray] = []
     starts: list[int] = []
     between = 0
@@ -358,7 +358,7 @@ def nearest_row_indices(clock: Instants, times: ClockTimes) -> Int[np.ndarray, "
 def interpolate_column(
     clock: Instants, times: ClockTimes, column: ClockTimes, is_input: bool
 ) -> Instants:
-    """Interpolate one column of a log at new times, piecewise constant for a held input."""
+    """Interpolate one column of a log at new times; a held input stays piecewise constant."""
     is_unchanged = np.diff(column) == 0
     if is_input and is_unchanged.mean() > HELD:
         later = clock * (1 + 1e-12) + 1e-12

@@ -158,8 +158,8 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
 
 
 def dated_clock_of_another_span(table: Table, title: str, free: Sequence[str]) -> str | None:
-    """Column of dates whose span contradicts a unitless time column read in seconds; None if there
-    is no such column."""
+    """Column of dates that cover another time span than a unitless time column read in seconds;
+    None if there is no such column."""
     has_unit = stated_time_unit_s(title, table.units.get(title, "")) is not None
     if has_unit or title in table.dated:
         return None

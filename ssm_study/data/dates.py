@@ -25,7 +25,7 @@ ORDERS = {"year first": "abc", "day first": "cba", "month first": "cab"}
 
 
 class AmbiguousDatesError(ValueError):
-    """Error for dates that can be read in two ways, because day and month can be exchanged."""
+    """Error for dates that can be read in two ways, because day and month could be exchanged."""
 
 
 def is_date(cell: str) -> bool:

@@ -16,9 +16,9 @@ FEWEST_TURNS = 2  # jumps
 Signal = Float[np.ndarray, "T"]
 
 
-def unmeasured_reason(u: Signal, y: Signal, fewest: int) -> str:
-    """Reason why no dynamics can be measured in a log whose longest gap-free part is too short or
-    constant; otherwise empty."""
+def no_dynamics_reason(u: Signal, y: Signal, fewest: int) -> str:
+    """Reason why no dynamics can be measured from a log: the longest gap-free part is too short or
+    constant; empty if they can."""
     if len(u) < fewest:
         return f"the longest piece has {len(u)} samples, fewer than {fewest}"
     if np.ptp(u) == 0:
@@ -26,8 +26,8 @@ def unmeasured_reason(u: Signal, y: Signal, fewest: int) -> str:
     return "the output stands still throughout the longest piece" if np.ptp(y) == 0 else ""
 
 
-def angle_sentences(columns: Mapping[str, Signal], output: str) -> list[str]:
-    """Sentence on an output that jumps by a whole turn, like an angle that wraps around; none
+def angle_wrap_sentences(columns: Mapping[str, Signal], output: str) -> list[str]:
+    """Sentence on an output that jumps by a whole turn, as an angle does when it wraps around; none
     without such jumps."""
     place = find_column_index(list(columns), output)
     y = np.empty(0) if place is None else list(columns.values())[place]

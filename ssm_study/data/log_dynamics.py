@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.log_checks import unmeasured_reason
+from ssm_study.data.log_checks import no_dynamics_reason
 from ssm_study.data.splits import rest_segments
 from ssm_study.signals import Trajectory
 
@@ -59,8 +59,8 @@ class ExplainedVariance:
 
     @property
     def is_integrator(self) -> bool:
-        """Whether the input explains the output's change better than the output itself, as for an
-        integrating plant."""
+        """Whether the input explains changes of the output better than values of the output, as for
+        an integrating plant."""
         changes = self.change > self.level + INTEGRATES
         return changes and self.lost > -DRIFTS and self.lost_in_log < FORGETS
 
@@ -76,7 +76,7 @@ def describe_log_dynamics(
     record = max(records, key=len)
     u = record.u[:, 0]
     y = record.y[:, 0]
-    reason = unmeasured_reason(u, y, 4 * LAGS)
+    reason = no_dynamics_reason(u, y, 4 * LAGS)
     if reason:
         return [f"{reason}: no dynamics measured"]
     shares = explained_output_variance(u, y)
@@ -89,7 +89,7 @@ def describe_log_dynamics(
     if FEEDTHROUGH in answer and is_interpolated:
         answer = interpolated_response_sentence()
     is_ambiguous = FEEDTHROUGH in answer and fed_back > MAYBE_FED_BACK
-    sentences.append(same_sample_sentence() if is_ambiguous else answer)
+    sentences.append(same_sample_response_sentence() if is_ambiguous else answer)
     if fed_back > FED_BACK:
         sentences.append(
             f"earlier outputs explain {fed_back:.0%} of the input's changes: a closed loop? "
@@ -104,9 +104,9 @@ def describe_log_dynamics(
     return sentences
 
 
-def same_sample_sentence() -> str:
-    """Sentence on an output that responds within the sample of the input change, so that cause and
-    effect are unclear."""
+def same_sample_response_sentence() -> str:
+    """Sentence on an output that changes in the same sample as the input, so that cause and effect
+    are unclear."""
     return "input and output move within the same sample: which of them answers is not to be seen"
 
 
@@ -141,7 +141,8 @@ def noise_deviation(y: Signal) -> float:
 
 
 def longest_standstill_sentences(records: Sequence[Trajectory]) -> list[str]:
-    """Sentence on the longest interval of a log in which nothing moves."""
+    """Sentence on the longest interval of a log in which no signal changes; an empty list if there
+    is none of note."""
     longest: tuple[int, Trajectory, int] | None = None
     for piece in records:
         start, end = longest_constant_interval(piece)
@@ -186,8 +187,8 @@ def input_return_sentence(returns: int) -> str:
 
 
 def response_delay_sentence(u: Signal, y: Signal, shares: ExplainedVariance) -> str:
-    """Sentence on the delay, in samples, between a change of the input and the output's response.
-    For an integrator, the response is a change of the output."""
+    """Sentence on the delay, in samples, between a change of the input and the response of the
+    output. For an integrator, the response is a change of the output."""
     rate = np.diff(y)
     answering = rate if shares.is_integrator else y[1:]
     word = "the output's change" if shares.is_integrator else "the output"
@@ -233,7 +234,8 @@ def dead_time_sentence(lag: int, word: str) -> str:
 
 
 def slow_response_sentence(lag: int, stride: int, word: str) -> str:
-    """Sentence on a response so slow that the delay is known only to within several samples."""
+    """Sentence on a response so slow that the delay can only be determined to within several
+    samples."""
     if lag <= 1:
         return f"{word} answers slowly, within {(lag + 1) * stride} samples"
     return (
@@ -263,8 +265,8 @@ def first_response_lag(u: Signal, y: Signal) -> int | None:
 def increment_regression_data(
     u: Signal, y: Signal
 ) -> tuple[Float[np.ndarray, "K R"], Float[np.ndarray, "K"]]:
-    """Regressors and target of the linear regression that explains output increments by past input
-    and output increments.
+    """Regressors and target of a linear regression of output increments on past increments of input
+    and output.
 
     Regressors `du[k - 0 ... LAGS], dy[k - 1], dy[k - 2]`, target `dy[k]`; both scaled.
     """
@@ -276,14 +278,14 @@ def increment_regression_data(
 
 
 def delayed_signal(values: Signal, lag: int, longest_lag: int) -> Float[np.ndarray, "K"]:
-    """Values of a signal delayed by a number of samples, cut to the length that the largest delay
-    leaves."""
+    """Values of a signal delayed by a number of samples, cut so that signals with any delay up to
+    the longest have equal length."""
     return values[longest_lag - lag : len(values) - lag]
 
 
 def feedback_error_reduction(u: Signal, y: Signal) -> float:
-    """Fraction by which past outputs reduce the prediction error of the input, a sign of feedback
-    from output to input.
+    """Fraction by which past outputs reduce the error of predicting the input; a large fraction is
+    a sign of feedback from output to input.
 
     An input that its own past foretells, as a sweep of sines, needs more of that past than the few
     outputs that a controller reads: else outputs stand for inputs of long ago.
@@ -331,8 +333,8 @@ def explained_output_variance(u: Signal, y: Signal) -> ExplainedVariance:
 
 
 def with_fastest_decay(u: Signal, y: Signal, explained: ExplainedVariance) -> ExplainedVariance:
-    """Copy of the explained variances with the output's fastest decay, taken over several longer
-    time windows."""
+    """Copy of the explained variances that contains the fastest decay of the output found over
+    several longer time windows."""
     longer = [w for w in WINDOWS if explained.window < w <= LONGER * explained.window]
     able = [window for window in longer if len(u) >= 8 * window]
     losses = [explained_variance_over_window(u, y, window).lost_in_log for window in able]
@@ -341,15 +343,15 @@ def with_fastest_decay(u: Signal, y: Signal, explained: ExplainedVariance) -> Ex
 
 def largest_explained_variance(u: Signal, y: Signal) -> float:
     """Largest fraction of the output's variance that averages of the input over a time window
-    explain, among several window lengths."""
+    explain, for the best of several window lengths."""
     windows = [window for window in WINDOWS if len(u) >= 8 * window]
     levels = [explained_variance_over_window(u, y, window).level for window in windows]
     return max(levels, default=0.0)
 
 
 def explained_variance_over_window(u: Signal, y: Signal, window: int) -> ExplainedVariance:
-    """Fractions of the variances of output and output increments that input averages over a window
-    explain."""
+    """Fractions of the variances of the output and of its increments that averages of the input
+    over a time window explain."""
     weights = np.full(window, 1 / window)
     mean = np.convolve(u, weights, mode="valid")[:-1:window]
     ends = y[window::window][: len(mean)]

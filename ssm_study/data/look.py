@@ -22,7 +22,7 @@ from ssm_study.data.clock_column import (
 )
 from ssm_study.data.column_facts import ColumnFacts, summarise_column
 from ssm_study.data.command_words import find_column_index, quote_for_command, unit_overrides
-from ssm_study.data.log_checks import angle_sentences
+from ssm_study.data.log_checks import angle_wrap_sentences
 from ssm_study.data.log_dynamics import FEEDTHROUGH, INTEGRATOR, describe_log_dynamics
 from ssm_study.data.readers.reader import Table, choose_reader
 from ssm_study.data.recorded import RecordedData
@@ -180,7 +180,7 @@ def examine_log(path: Path, stated: LogSettings) -> LogLook:
         source = stated.as_data_source(path, u, y)
         reading = examine_signals(path, table, clock, source)
         sentences += reading.sentences
-        sentences += angle_sentences(table.columns, y)
+        sentences += angle_wrap_sentences(table.columns, y)
         counters = [column.name for column in facts if is_counter(column, table)]
         others = possible_disturbance_names(facts, clock, (u, y, stated.disturbance))
         others = [name for name in others if name not in counters]
@@ -216,7 +216,7 @@ def require_numeric_column(path: Path, table: Table) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class LogReading:
-    """Input and output records of a log, with remarks on how they were read."""
+    """Input and output records of a log, with remarks on how the log was read."""
 
     records: list[Trajectory]
     step_is_known: bool
@@ -246,8 +246,7 @@ def choose_input_and_output(
 
 
 def is_counter(column: ColumnFacts, table: Table) -> bool:
-    """Whether a column only counts rows or times and so is no signal, by its even increase, title
-    or unit."""
+    """Whether a column only counts rows or times, judged by its even increase, title or unit."""
     if is_evenly_spaced(table.columns[column.name]):
         return True
     return resembles_clock(column.name, column.unit, table.columns[column.name])
@@ -279,7 +278,8 @@ def set_point_sentences(
 
 
 def clock_column_name(table: Table) -> str | None:
-    """Name of the column of a log that contains the times or the numbers of the rows."""
+    """Name of the column of a log that contains the times or the row numbers; None if there is
+    none."""
     if has_row_number_column(table):
         return next(iter(table.columns))
     return find_clock_column(table, ())
@@ -385,7 +385,7 @@ def study_command(
 def command_with_disturbance(
     command: str, others: Sequence[str], stated: LogSettings, facts: Sequence[ColumnFacts]
 ) -> str:
-    """Command that fits a model to a log, with the only unused signal as measured disturbance."""
+    """Command that fits a model to a log, with the only other signal as measured disturbance."""
     if len(others) != 1 or command == NO_COMMAND or stated.disturbance is not None:
         return ""
     units = unit_overrides(facts, {"disturbance": others[0]})

@@ -50,7 +50,7 @@ def data_set_columns(data: DataSet) -> dict[str, Any]:
         "disturbances": ", ".join(disturbances) or None,
         "input_coverage": input_coverage(data),
         "excitation_order": min(orders),
-        "excitation_warning": warn_if_two_level(data),
+        "excitation_warning": warn_of_two_level_input(data),
     }
 
 
@@ -76,9 +76,9 @@ def benchmark_rmse(data: DataSet, y_hat: tuple[Float[np.ndarray, "_ p"], ...]) -
 def position_rmse_mm(
     record: Trajectory, velocity_hat: Float[np.ndarray, "T 1"], start_up_samples: int
 ) -> float:
-    """Root mean square error, in mm, of the position that results from integrating a simulated
-    velocity. `1000 rms(q - q_hat)` with `q[k] = q[s] + step_s sum(y[s+1..k])`, started at the
-    measured position `q[s]`.
+    """Root mean square error, in mm, of the position obtained by integrating a simulated velocity.
+    `1000 rms(q - q_hat)` with `q[k] = q[s] + step_s sum(y[s+1..k])`, started at the measured
+    position `q[s]`.
 
     The recorded velocity is the position's backward difference, so its running sum is the measured
     position exactly; `s` is the last start-up sample. Velocities in m/s.
@@ -91,8 +91,8 @@ def position_rmse_mm(
 
 
 class UnidentifiableSlopesWarning(UserWarning):
-    """Warning that the training inputs take too few levels for the slopes of an input nonlinearity
-    to be identified."""
+    """Warning that the training inputs take too few levels to identify the slopes of a static input
+    map."""
 
 
 def input_coverage(data: DataSet) -> float:
@@ -115,9 +115,9 @@ def input_coverage(data: DataSet) -> float:
     return min(visited) / BINS
 
 
-def warn_if_two_level(data: DataSet) -> str | None:
-    """Warn if a training input takes at most two levels, and return the text of the warning; None
-    if no input does."""
+def warn_of_two_level_input(data: DataSet) -> str | None:
+    """Warn of a training input that takes at most two levels, and return the text of the warning;
+    None if no input does."""
     training = np.concatenate([r.u for r in data.training])
     for j, channel in enumerate(data.inputs):
         values = training[:, j]

@@ -15,7 +15,7 @@ from ssm_study.data.assembly import Channels, Parts, assemble_dataset
 from ssm_study.data.channel_names import Names, as_name_tuple, name_channels
 from ssm_study.data.closed_loop import project_inputs_on_set_points, reconstruct_pi_set_point
 from ssm_study.data.readers.reader import has_columns
-from ssm_study.data.recording import Columns
+from ssm_study.data.recording import ColumnSettings
 from ssm_study.data.splits import (
     BLOCKS,
     FEWEST,
@@ -48,8 +48,9 @@ class RecordedSource(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedAboutEquilibrium(RecordedSource):
-    """Base class of recorded data sources whose signals are scaled about an equilibrium. The
-    equilibrium is "zero", "mean" (of the training samples), or one number per channel.
+    """Base class of recorded data sources whose signals are scaled as deviations from an
+    equilibrium. The equilibrium is "zero", "mean" (of the training samples), or one number per
+    channel.
 
     `start_up_samples` at the beginning of each record are simulated, not scored: a record seldom
     starts at rest. `fold` k of `folds`, counted from 0, tests on the k-th of so many equal pieces
@@ -108,7 +109,7 @@ class RecordedAboutEquilibrium(RecordedSource):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordedData(Columns, RecordedAboutEquilibrium):
+class RecordedData(ColumnSettings, RecordedAboutEquilibrium):
     """Data set from recorded logs of one plant, each of which is cut into training, validation and
     test.
 
@@ -135,7 +136,7 @@ class RecordedData(Columns, RecordedAboutEquilibrium):
     disturbance_unit: Names = ""
 
     def __post_init__(self) -> None:
-        Columns.__post_init__(self)
+        ColumnSettings.__post_init__(self)
         RecordedAboutEquilibrium.__post_init__(self)
         self._check_fractions()
         self._check_split_settings()
@@ -267,7 +268,7 @@ class RecordedData(Columns, RecordedAboutEquilibrium):
         data = self.assemble_about_equilibrium((training, validation, test), channels, **about)
         return replace(data, mismatch_records=self._cut_mismatch_records(logs))
 
-    def _cut_mismatch_records(self, logs: "list[_Log]") -> tuple[Trajectory, ...]:
+    def _cut_mismatch_records(self, logs: "list[_LogWithRemarks]") -> tuple[Trajectory, ...]:
         """Cut from the logs the records that only measure the model error: segments of constant
         input, and repeated periods."""
         pieces = [piece for log in logs for piece in log.pieces]
@@ -291,7 +292,7 @@ class RecordedData(Columns, RecordedAboutEquilibrium):
         apart = not alone and has_columns(second, measured, settings)
         return [(first, second)] if apart else files
 
-    def _read_logs(self, field: str, outputs: str, before: int = 0) -> "list[_Log]":
+    def _read_logs(self, field: str, outputs: str, before: int = 0) -> "list[_LogWithRemarks]":
         """Read every log, and replace the input of closed-loop logs by the part that the set point
         explains. The share of the input in that part is noted."""
         source = self
@@ -302,7 +303,7 @@ class RecordedData(Columns, RecordedAboutEquilibrium):
         for number, files in enumerate(self._log_files(field, outputs), start=before + 1):
             pieces, remark = source.read_pieces(*files)
             numbered = [replace(piece, log=number) for piece in pieces]
-            logs.append(_Log(pieces=numbered, remark=remark))
+            logs.append(_LogWithRemarks(pieces=numbered, remark=remark))
         if self.reference is None and self.controller is None:
             return logs
         return self._project_inputs(logs)
@@ -329,7 +330,7 @@ class RecordedData(Columns, RecordedAboutEquilibrium):
             apart.append(replace(piece, u=u, d=d))
         return apart, remark
 
-    def _project_inputs(self, logs: "list[_Log]") -> "list[_Log]":
+    def _project_inputs(self, logs: "list[_LogWithRemarks]") -> "list[_LogWithRemarks]":
         """Replace the input of closed-loop logs by the part that the set point explains."""
         pieces = [piece for log in logs for piece in log.pieces]
         count = len(self.inputs)
@@ -358,7 +359,7 @@ class RecordedData(Columns, RecordedAboutEquilibrium):
 
     def _split_log(self, log: list[Trajectory], splitter: Splitter) -> Pieces:
         """Split one log, which may have gaps, into training, validation and test."""
-        return splits.split_pieces(log, splitter, self.start_up_samples + 2)
+        return splits.split_log_with_gaps(log, splitter, self.start_up_samples + 2)
 
     def _choose_splitter(self, logs: list[list[Trajectory]]) -> tuple[Splitter, str]:
         """Choose the function that splits a log into training, validation and test, and describe
@@ -388,8 +389,8 @@ class RecordedData(Columns, RecordedAboutEquilibrium):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Log:
-    """One log as pieces without gaps, with remarks on how the log was read."""
+class _LogWithRemarks:
+    """One log, split into pieces without gaps, with remarks on how the log was read."""
 
     pieces: list[Trajectory]
     remark: str

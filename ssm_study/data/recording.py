@@ -43,7 +43,7 @@ ASSUMED_SECOND = "and a row is taken to last one second"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Columns:
+class ColumnSettings:
     """Base class of settings that state which columns of a log file are inputs, outputs and times.
 
     Without `time` the clock is found by its name, or as the nameless first column. `separator`,
@@ -108,7 +108,8 @@ class Columns:
 
     @property
     def searches_clock(self) -> bool:
-        """Whether the time column of a log must be detected: the configuration names none."""
+        """Whether the time column of a log must be detected because the configuration names
+        none."""
         return True
 
     @property
@@ -350,7 +351,7 @@ class _LogFile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recording(Columns):
+class Recording(ColumnSettings):
     """One experiment in a log file, given by the file, its columns and a range of samples. It has
     samples `first` to before `last` of the columns of the file at `path`."""
 

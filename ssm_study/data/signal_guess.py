@@ -48,24 +48,30 @@ def guess_input_and_output(
 
 def output_score(column: ColumnFacts, input_name: str) -> tuple[float, bool, bool]:
     """Score of how much a column looks like the output: by its title, a word shared with the
-    input's title, and its number of distinct values."""
+    input's title, and the number of distinct values."""
     by_words = title_word_score(column.name, OUTPUT_WORDS)
     if by_words < title_word_score(column.name, INPUT_WORDS):
         by_words = -1.0
-    has_same_place = not place_words(input_name).isdisjoint(place_words(column.name))
+    has_same_place = not distinguishing_words(input_name).isdisjoint(
+        distinguishing_words(column.name)
+    )
     return by_words, has_same_place, level_score(column) < LIKE_AN_INPUT
 
 
-def place_words(name: str) -> set[str]:
-    """Numbers and words in a column title that distinguish similar signals, such as 2 in
-    `Heater 2`."""
+def distinguishing_words(name: str) -> set[str]:
+    """Numbers and words in a column title that distinguish similar signals, such as 2 in `Heater
+    2`."""
     numbers = re.findall(r"[A-Za-z]\W?(\d+)\b", name)
-    own_words = [word for word in title_parts(name) if word not in (*INPUT_WORDS, *OUTPUT_WORDS)]
+    own_words = [
+        word
+        for word in title_words_without_digits(name)
+        if word not in (*INPUT_WORDS, *OUTPUT_WORDS)
+    ]
     return {*numbers, *(word for word in own_words if len(word) > 1)}
 
 
-def title_parts(name: str) -> list[str]:
-    """Words in a column title, in lower case and without digits."""
+def title_words_without_digits(name: str) -> list[str]:
+    """Words in a column title, in lower case and with all digits removed."""
     spaced = re.sub(WORD_STARTS, " ", name)
     return [part for part in re.split(r"[^a-z]+", spaced.lower()) if part]
 
@@ -96,7 +102,7 @@ def title_word_score(name: str, words: tuple[str, ...]) -> float:
     """Score of how well a column title matches a list of words: 1 for a whole word, 0.5 for the
     beginning of a word. One if a word of the title is in the list, a half if one begins with a word
     in the list."""
-    parts = title_parts(name)
+    parts = title_words_without_digits(name)
     if any(part in words for part in parts):
         return 1.0
     long_words = tuple(word for word in words if len(word) > 3)
@@ -115,8 +121,8 @@ def doubtful_guess_sentences(
     signals: tuple[str | None, str | None],
     are_named: tuple[bool, bool],
 ) -> list[str]:
-    """Sentences on columns that look like the input or output but cannot be read or are constant.
-    The guess would go around them.
+    """Sentences on columns whose titles suggest an input or output but which cannot be read or are
+    constant. The guess would go around them.
 
     `are_named` says of input and output whether the user named them, so that nothing is guessed.
     """

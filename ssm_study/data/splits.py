@@ -22,11 +22,11 @@ FEWEST = 50  # samples a block needs beyond the start-up window
 UNLIKE = 1.0
 
 
-def split_pieces(
+def split_log_with_gaps(
     log_pieces: Sequence[Trajectory], split_record: Callable[[Trajectory], Pieces], min_samples: int
 ) -> Pieces:
-    """Split a log that has gaps into training, validation and test as if it had none. Its samples
-    are counted over the gaps.
+    """Split a log that has gaps into training, validation and test records, as if the log had no
+    gaps. Its samples are counted over the gaps.
 
     Parts of a piece that are shorter than `min_samples` samples are left out.
     """
@@ -141,8 +141,8 @@ def cut_out_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajec
 
 
 def rest_segments(record: Trajectory) -> list[Trajectory]:
-    """Cut out of a record the segments in which the input is constant at its final value. There are
-    none in a record that ends moving. Measured disturbances count as inputs.
+    """Segments of a record in which the input is constant at the value that it has at the end.
+    There are none in a record that ends moving. Measured disturbances count as inputs.
 
     A stretch counts that lasts half as long as the last one. What the plant does there is evidence;
     no fit uses it.
@@ -151,8 +151,8 @@ def rest_segments(record: Trajectory) -> list[Trajectory]:
 
 
 def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Trajectory]:
-    """Cut out of a record the segments in which the input is periodic, between segments of constant
-    input. Half of the constant segment before and all of the one behind belong to them.
+    """Segments of a record in which the input is periodic, between segments of constant input. Half
+    of the constant segment before and all of the one behind belong to them.
 
     `ssm-study excite` writes one for each amplitude: what its second period does not repeat is
     noise. Nothing of a log that moves otherwise, too: a few equal pulses would stand for all that
@@ -172,8 +172,8 @@ def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Traject
 
 
 def _rest_ranges(record: Trajectory, includes_beginning: bool = False) -> list[tuple[int, int]]:
-    """Index ranges of a record in which the input is constant at its final value. With
-    `includes_beginning`, a range at the beginning of the record counts, too."""
+    """Index ranges of a record in which the input is constant at the value that it has at the end.
+    With `includes_beginning`, a range at the beginning of the record counts, too."""
     moving = record.inputs_and_disturbances
     is_elsewhere = (moving != moving[-1]).any(axis=1)
     moved = np.flatnonzero(is_elsewhere)

@@ -144,8 +144,8 @@ def parse_names_in_comment(
 def numbered_column_names(
     cells: list[list[str]], columns: int, header: bool | None
 ) -> tuple[list[str] | None, int]:
-    """Column names of a table whose first row has the column numbers instead of names, and how many
-    rows they take.
+    """Column names of a table whose first row numbers the columns, and the count of rows that they
+    occupy.
 
     Counting from 0 they are names if the numbers below are unlike whole numbers, as pandas writes
     an array; counting from 1, always (a reader that is asked for a number refuses to guess).

@@ -97,8 +97,8 @@ def judge_feedback(case: EvidenceCase) -> Iterator[Finding]:
 
 
 def feedback_sentence(earlier_share: float, present_share: float) -> str:
-    """Sentence with the statistic of a log that reveals a closed loop. Of two statistics it is the
-    one further above its threshold of two."""
+    """Sentence that states the statistic by which a log shows that it was recorded in closed loop.
+    Of two statistics it is the one further above its threshold of two."""
     if present_share - PRESENT >= earlier_share - EARLIER:
         return (
             "What is new in the output explains "
@@ -108,8 +108,8 @@ def feedback_sentence(earlier_share: float, present_share: float) -> str:
 
 
 def responds_within_sample(data: DataSet) -> bool:
-    """Whether a plant's output responds within the same sample by direct feedthrough, not by
-    feedback.
+    """Whether the output responds to the input within the same sample because of direct
+    feedthrough, not of feedback.
 
     A controller with negative feedback makes the first coefficient of the finite impulse response
     point against the plant's further response; a plant that answers within the sample does not.
@@ -125,7 +125,7 @@ def responds_within_sample(data: DataSet) -> bool:
     past = np.concatenate(past_inputs)
     outputs = np.concatenate([y[PAST:] for _, y in pairs])
     with_constant = np.pad(past, ((0, 0), (0, 1)), constant_values=1.0)
-    weights = _least_squares(with_constant, outputs)
+    weights = _least_squares_coefficients(with_constant, outputs)
     response = weights[:-1].reshape(-1, PAST + 1, outputs.shape[1])
     at_once = response[:, 0]
     later = response[:, 1:].sum(axis=1)
@@ -133,14 +133,14 @@ def responds_within_sample(data: DataSet) -> bool:
     return bool(at_once[largest] * later[largest] > 0)
 
 
-def _least_squares(regressors: Rows, targets: Rows) -> Rows:
+def _least_squares_coefficients(regressors: Rows, targets: Rows) -> Rows:
     """Coefficients of the least-squares fit of targets by regressors."""
     weights, *_ = np.linalg.lstsq(regressors, targets, rcond=ROUNDING)
     return weights
 
 
 def shows_closed_loop(data: DataSet, earlier_share: float, present_share: float) -> bool:
-    """Whether the statistics of a log show a recording in closed loop."""
+    """Whether the statistics of a log show that it was recorded in closed loop."""
     samples = sum(len(record) for record in data.training)
     if samples < FEWEST:
         return False
@@ -158,13 +158,13 @@ def judge_instability(
     """
     whole = replace(data, training=(*data.training, *data.validation, *data.test))
     fitted_data = data if is_closed_loop else whole
-    modes = [dominant_mode_modulus(fitted_data, lags) for lags in LAGS]
+    modes = [dominant_pole_modulus(fitted_data, lags) for lags in LAGS]
     slowest = min(modes)
     samples = sum(map(len, whole.training))
     least = UNSTABLE if is_closed_loop else math.exp(GROWTH / samples)
     alike = np.ptp(modes) < ALIKE
     mode = f"a mode at {np.median(modes):.5g} a sample"
-    by_input, by_itself = growth_statistics(whole)
+    by_input, by_itself = increment_statistics(whole)
     grows = is_closed_loop or by_itself > GROWS
     if alike and slowest > least and grows:
         statement = f"The output runs away by itself ({mode}), and models here are stable"
@@ -189,8 +189,8 @@ def judge_instability(
 
 
 def integrator_share(data: DataSet) -> float | None:
-    """Fraction of the output's changes that the mean input explains, if the plant integrates its
-    input; otherwise None. For one input only."""
+    """Fraction of the output's changes that the mean input explains, for a plant that integrates
+    its input; None for any other plant. For one input only."""
     stretches = join_records_without_gaps(data)
     if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:
         return None
@@ -199,9 +199,9 @@ def integrator_share(data: DataSet) -> float | None:
     return shares.change if shares.is_integrator else None
 
 
-def growth_statistics(data: DataSet) -> tuple[float, float]:
-    """Fraction of the output's increments that the input explains, and the t-statistic of the
-    increments' dependence on the output's level.
+def increment_statistics(data: DataSet) -> tuple[float, float]:
+    """Fraction of the output's increments that the input explains, and the t-statistic of their
+    dependence on the output's level.
 
     Least squares `y[k + h] - y[k] = h (f(u) + g(u before)) + c y[k - h]` with f and g piecewise
     linear: an integrator behind a dead zone or a curve has c = 0. Returns the share of the power of
@@ -217,26 +217,26 @@ def growth_statistics(data: DataSet) -> tuple[float, float]:
     inputs = np.concatenate([u for u, _ in records])
     shares = np.linspace(0, 1, KNOTS)
     nodes = [np.unique(np.quantile(column, shares)) for column in inputs.T]
-    pieces = [_growth_regression_rows(u, y, nodes) for u, y in records if len(u) > 4 * STRIDE]
+    pieces = [_increment_regression_rows(u, y, nodes) for u, y in records if len(u) > 4 * STRIDE]
     if not pieces:
         return 0.0, np.inf
     moved, rise, before = (np.concatenate(side) for side in zip(*pieces, strict=True))
-    missed = rise - moved @ _least_squares(moved, rise)
+    missed = rise - moved @ _least_squares_coefficients(moved, rise)
     power = np.maximum((rise**2).sum(axis=0), np.finfo(float).tiny)
     missed_power = (missed**2).sum(axis=0)
     explained = 1 - missed_power / power
     statistics = []
     for output_rise, output_before in zip(rise.T, before.T, strict=True):
-        statistics.append(_last_t_statistic(moved, output_rise, output_before))
+        statistics.append(_last_coefficient_t_statistic(moved, output_rise, output_before))
     return float(explained.min()), max(statistics)
 
 
-def _growth_regression_rows(
+def _increment_regression_rows(
     inputs: Rows, outputs: Rows, nodes: list[Vector]
 ) -> tuple[Rows, Rows, Rows]:
-    """Rows of a regression that explains increments of the output by the input and by the output's
-    level. They hold the input's effect over one stride and over the stride before, the output's
-    rise, and the output before."""
+    """Rows of a regression of the output's increments on the input and the level of the output.
+    They hold the input's effect over one stride and over the stride before, the output's rise, and
+    the output before."""
     hats: list[np.ndarray] = []
     for column, at in zip(inputs.T, nodes, strict=True):
         hats += [np.interp(column, at, corner) for corner in np.eye(len(at))]
@@ -254,8 +254,11 @@ def _growth_regression_rows(
     return moved, rise, output_before
 
 
-def _last_t_statistic(regressors: Rows, targets: Vector, last_regressor: Vector) -> float:
-    """Ratio of the last coefficient of a least-squares fit to its standard error."""
+def _last_coefficient_t_statistic(
+    regressors: Rows, targets: Vector, last_regressor: Vector
+) -> float:
+    """Ratio of the last coefficient of a least-squares fit to the coefficient's standard error
+    (t-statistic)."""
     rows = np.column_stack([regressors, last_regressor])
     weights, _, rank, _ = np.linalg.lstsq(rows, targets, rcond=ROUNDING)
     missed = targets - rows @ weights
@@ -267,9 +270,9 @@ def _last_t_statistic(regressors: Rows, targets: Vector, last_regressor: Vector)
     return float(weights[-1] / standard_error)
 
 
-def dominant_mode_modulus(data: DataSet, lags: int) -> float:
-    """Largest modulus of a pole of an ARX model that is fitted to the log. It is arbitrary if the
-    log has no reference signal."""
+def dominant_pole_modulus(data: DataSet, lags: int) -> float:
+    """Largest modulus among the poles of an ARX model that is fitted to the log. It is arbitrary if
+    the log has no reference signal."""
     records = scale_records(data)
     a, *_ = fit_arx_matrices(records, lags, feedthrough=False)
     p = len(data.scale.output_scale)
@@ -280,9 +283,9 @@ def dominant_mode_modulus(data: DataSet, lags: int) -> float:
 
 
 def feedback_error_reduction(data: DataSet, first_lag: int) -> float:
-    """Fraction by which past outputs reduce the power of the input's prediction error; large for a
-    log from a closed loop. It is the largest share of any input's `w` that `v`, from `first_lag`
-    samples ago on, explains in the other half."""
+    """Fraction by which past outputs reduce the power of the error of predicting the input; it is
+    large for a log from a closed loop. It is the largest share of any input's `w` that `v`, from
+    `first_lag` samples ago on, explains in the other half."""
     halves = list[list[Rows]]()
     for u, y in scale_records(data):
         halves += _regression_rows_by_halves(u, y, first_lag)
@@ -304,13 +307,13 @@ def _concatenate_regression_rows(halves: list[list[Rows]]) -> list[Rows]:
 
 
 def _residual_powers(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray, "4 m"]:
-    """Powers of the input, of its prediction error (as it is and clipped), and of the part of this
-    error that past outputs do not explain. Powers in the scored half: of the input, of `w`, of `w`
-    clipped, and of what `v` leaves of that."""
+    """Powers of the input, of its prediction error, of the clipped prediction error, and of the
+    part of the latter that past outputs leave unexplained. Powers in the scored half: of the input,
+    of `w`, of `w` clipped, and of what `v` leaves of that."""
     past, y, u = fitted
     own_past, own_y, own_u = scored
-    on_u = _least_squares(past, u)
-    on_y = _least_squares(past, y)
+    on_u = _least_squares_coefficients(past, u)
+    on_y = _least_squares_coefficients(past, y)
     v = y - past @ on_y
     w = u - past @ on_u
     own_v = own_y - own_past @ on_y
@@ -318,7 +321,7 @@ def _residual_powers(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray
     most = CLIPPED * np.median(np.abs(w), axis=0)
     w = np.clip(w, -most, most)
     own = np.clip(own_w, -most, most)
-    explained = own_v @ _least_squares(v, w)
+    explained = own_v @ _least_squares_coefficients(v, w)
     moved = own_u - own_u.mean(axis=0)
     signals = (moved, own_w, own, own - explained)
     powers = [(signal**2).sum(axis=0) for signal in signals]

@@ -33,8 +33,8 @@ class Finding:
 
 
 def evidence_text(level: str, reasons: str | None, place_of_notes: str) -> str:
-    """Text that states the level of the evidence (sound, doubt or cannot judge) and, if sound, the
-    number of notes."""
+    """Text that states the level of the evidence (sound, doubt or cannot judge) and, for sound
+    evidence, the number of notes."""
     count = len(re.findall(r"(?:^| )note: ", reasons or ""))
     if level != SOUND or not count:
         return level
@@ -50,7 +50,7 @@ ScaledRecord = tuple[Inputs, Outputs]
 
 @dataclass(frozen=True, kw_only=True)
 class EvidenceCase:
-    """Data set, model and simulated records that are examined for reasons to doubt predictions. The
+    """Data set, model and simulated records from which reasons to doubt predictions are sought. The
     free runs are of the validation and test records."""
 
     data: DataSet

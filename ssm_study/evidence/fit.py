@@ -74,8 +74,8 @@ def judge_poor_fit(case: EvidenceCase) -> list[Finding]:
 
 
 def poor_fit_remedy(case: EvidenceCase) -> str:
-    """Advice that ends a sentence on a poor fit: whether the model or the log is the cause, and
-    what to do. It is the model if something simple fits the test record better."""
+    """Advice at the end of a sentence on a poor fit: whether model or log is the cause, and what to
+    do. It is the model if something simple fits the test record better."""
     fits = {f"a linear filter of {LAGS} taps": fir_fit_percent(case)}
     other = simulate_from_alternative_states(case.model, case.data, case.test)
     if other is not None:

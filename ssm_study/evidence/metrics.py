@@ -137,8 +137,8 @@ def evidence_columns(judgement: Judgement, *_: Any) -> dict[str, Any]:
 
 
 def withhold_predictions(columns: dict[str, Any], evidence_level: str | None) -> dict[str, Any]:
-    """Remove predictions about the plant from a design's table columns if the records do not
-    support them.
+    """Remove the predictions about the plant from the table columns of a design if the records do
+    not support them.
 
     The proof of coverage stays in the certificate; that the records show an error it covers does
     not hold of records that cannot be judged.

@@ -46,15 +46,15 @@ def judge_records(case: EvidenceCase, mismatch: Mismatch) -> list[Finding]:
     """Findings on the contents of the records: ranges, levels, length, drift, spectra and return to
     rest. Findings on rest and on what is unknown of the model error come last."""
     looks = (
-        _judge_range,
-        _judge_levels,
-        _judge_length,
-        _judge_drift,
-        _judge_repetition,
-        _judge_spectrum,
+        _range_sentences,
+        _input_level_sentences,
+        _length_sentences,
+        _drift_sentences,
+        _repetition_sentences,
+        _spectrum_sentences,
     )
     doubts = [make_doubt(sentence) for look in looks for sentence in look(case)]
-    return [*doubts, *_judge_saturation(case), *judge_return_to_rest(case, mismatch)]
+    return [*doubts, *_saturation_findings(case), *judge_return_to_rest(case, mismatch)]
 
 
 def _join_scaled_records(case: EvidenceCase, records: tuple[Trajectory, ...]) -> ScaledRecord:
@@ -64,7 +64,7 @@ def _join_scaled_records(case: EvidenceCase, records: tuple[Trajectory, ...]) ->
     return inputs, np.concatenate([y for _, y in parts])
 
 
-def _judge_range(case: EvidenceCase) -> Iterator[str]:
+def _range_sentences(case: EvidenceCase) -> Iterator[str]:
     """Sentences on test records whose input or output leaves the range of the training records.
 
     Where a model integrates its input, the level of its output is no condition that it was trained
@@ -95,7 +95,7 @@ def _judge_range(case: EvidenceCase) -> Iterator[str]:
         )
 
 
-def _judge_levels(case: EvidenceCase) -> Iterator[str]:
+def _input_level_sentences(case: EvidenceCase) -> Iterator[str]:
     """Sentences on a training input that changes too rarely, takes only two levels or stays on one
     side."""
     u = _join_scaled_records(case, case.data.training)[0]
@@ -138,7 +138,7 @@ def count_input_changes(data: DataSet) -> int:
     return changes
 
 
-def _judge_saturation(case: EvidenceCase) -> Iterator[Finding]:
+def _saturation_findings(case: EvidenceCase) -> Iterator[Finding]:
     """Findings on an output that stays at its largest or smallest value while the input moves.
 
     A machine that comes to a stop reads zero, too: from the log alone a dead zone cannot be told
@@ -191,7 +191,7 @@ def saturated_share(case: EvidenceCase, output_index: int, limit: float) -> floa
     return counted / samples if stretches >= FEWEST_STRETCHES else 0.0
 
 
-def _judge_length(case: EvidenceCase) -> Iterator[str]:
+def _length_sentences(case: EvidenceCase) -> Iterator[str]:
     """Sentences on training records that are too short for the model, or shorter than its
     response."""
     samples = [len(record) for record in case.data.training]
@@ -199,7 +199,7 @@ def _judge_length(case: EvidenceCase) -> Iterator[str]:
     if sum(samples) < FEWEST_SAMPLES:
         yield f"{sum(samples)} training samples are too few for a nonlinear model: record more."
     elif slowest_mode_remainder(case) > INTEGRATES:
-        yield _judge_slow_mode(case)
+        yield _slow_mode_sentence(case)
     elif max(samples) < RESPONSES * response:
         remedy = "record longer without a break"
         # It contracts, so an integrator looks like a slow mode.
@@ -211,8 +211,8 @@ def _judge_length(case: EvidenceCase) -> Iterator[str]:
         )
 
 
-def _judge_slow_mode(case: EvidenceCase) -> str:
-    """Sentence on a model whose slowest mode hardly decays within a record's length.
+def _slow_mode_sentence(case: EvidenceCase) -> str:
+    """Sentence on a model whose slowest mode decays little within the length of a record.
 
     It speaks of the output where the log shows that it integrates, else of the model alone.
     """
@@ -249,8 +249,8 @@ def follows_input_level(data: DataSet) -> bool:
     return level > FOLLOWS and level >= explained_output_variance(u, y).change
 
 
-def _judge_drift(case: EvidenceCase) -> Iterator[str]:
-    """Sentence on a simulation error that drifts within a record."""
+def _drift_sentences(case: EvidenceCase) -> Iterator[str]:
+    """Sentence on a simulation error that drifts within a record; none without such a drift."""
     errors = [e for _, _, e in case.scored_records()]
     shifts = []
     least = max(map(len, errors)) // 4  # a short piece of a slow process is off as a whole
@@ -265,8 +265,9 @@ def _judge_drift(case: EvidenceCase) -> Iterator[str]:
         )
 
 
-def _judge_repetition(case: EvidenceCase) -> Iterator[str]:
-    """Sentence on test records that repeat stretches of the training records."""
+def _repetition_sentences(case: EvidenceCase) -> Iterator[str]:
+    """Sentence on test records that repeat parts of the training records; none without such
+    repetition."""
     share = repeated_test_share(case.data)
     if share > PART:
         yield (
@@ -292,14 +293,15 @@ def repeated_test_share(data: DataSet) -> float:
 
 
 def _window_bytes(record: Trajectory, length: int) -> set[bytes]:
-    """Byte strings of those windows of a record, of given length, in which the output moves."""
+    """Bytes of each window of a record, of given length, in which the output moves."""
     both = np.ascontiguousarray(np.concatenate([record.u, record.y], axis=1))
     pieces = (slice(k, k + length) for k in range(len(both) - length + 1))
     return {both[piece].tobytes() for piece in pieces if np.ptp(record.y[piece]) > 0}
 
 
 def _repeated_share(records: tuple[Trajectory, ...], length: int) -> float:
-    """Fraction of the windows with a moving output that occur more than once in the records."""
+    """Fraction of the windows (short stretches) with a moving output that occur more than once in
+    the records."""
     moving = 0
     distinct: set[bytes] = set()
     for record in records:
@@ -309,8 +311,9 @@ def _repeated_share(records: tuple[Trajectory, ...], length: int) -> float:
     return 1 - len(distinct) / moving if moving else 0.0
 
 
-def _judge_spectrum(case: EvidenceCase) -> Iterator[str]:
-    """Sentence on test inputs with frequencies that the training inputs do not excite."""
+def _spectrum_sentences(case: EvidenceCase) -> Iterator[str]:
+    """Sentence on test inputs with frequencies that the training inputs do not excite; none without
+    such inputs."""
 
     def input_power_spectrum(records: tuple[Trajectory, ...]) -> Float[np.ndarray, "F"]:
         """Power spectrum of the input over several records, summed over the channels."""

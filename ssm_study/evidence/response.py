@@ -45,7 +45,7 @@ ENOUGH = 200  # samples of a response: too few, more than a design gains from, w
 
 def judge_response(case: EvidenceCase) -> list[Finding]:
     """Findings on coherence, dead time and sampling time of the records."""
-    return [*_judge_coherence(case), *_judge_dead_time(case), *_judge_sampling(case)]
+    return [*_coherence_findings(case), *_dead_time_findings(case), *_sampling_findings(case)]
 
 
 def slowest_mode_remainder(case: EvidenceCase) -> float:
@@ -54,7 +54,7 @@ def slowest_mode_remainder(case: EvidenceCase) -> float:
     return case.model.linear.spectral_radius ** max(len(record) for record in case.data.training)
 
 
-def _judge_coherence(case: EvidenceCase) -> Iterator[Finding]:
+def _coherence_findings(case: EvidenceCase) -> Iterator[Finding]:
     """Finding on records with low coherence of input and output in the controller's frequency
     band."""
     parts = [case.scale_record_with_disturbances(record) for record in case.data.training]
@@ -110,7 +110,7 @@ def multiple_coherence(records: Sequence[Record], segment_length: int) -> Float[
     return np.asarray(shares.min(axis=1))
 
 
-def _judge_sampling(case: EvidenceCase) -> Iterator[Finding]:
+def _sampling_findings(case: EvidenceCase) -> Iterator[Finding]:
     """Note on a log whose sampling period is far too long or far too short for the model's
     response."""
     response = case.model.linear.impulse_response_length()
@@ -129,7 +129,7 @@ def _judge_sampling(case: EvidenceCase) -> Iterator[Finding]:
         )
 
 
-def _judge_dead_time(case: EvidenceCase) -> Iterator[Finding]:
+def _dead_time_findings(case: EvidenceCase) -> Iterator[Finding]:
     """Finding on a plant whose output responds to the input only after a dead time."""
     late = dead_time_samples(case)
     order = case.model.order

@@ -39,7 +39,7 @@ def judge_return_to_rest(case: EvidenceCase, mismatch: Mismatch) -> Iterator[Fin
             "Record more returns to rest."
         )
     elif left is None:
-        yield _judge_short_rest_segments(case)
+        yield _short_rest_finding(case)
     elif left > FAINT:
         statement = (
             f"{left:.2g} output scales are left at rest input: a small limit cycle, or a slow decay"
@@ -48,12 +48,12 @@ def judge_return_to_rest(case: EvidenceCase, mismatch: Mismatch) -> Iterator[Fin
             f"{statement}. A loop may swing farther, and settles in no narrower band. Record "
             "longer rests."
         )
-    yield from _judge_measured_range(case, mismatch)
+    yield from _unmeasured_range_findings(case, mismatch)
 
 
 def _remaining_offsets_of_test_records(case: EvidenceCase) -> list[float]:
-    """Offset or oscillation that the output still has at the end of each test record whose input is
-    long constant after a motion."""
+    """Offset or oscillation of the output at the end of each test record whose input moves and is
+    then constant for long."""
     response = case.model.linear.impulse_response_length()
     offsets = []
     for record in case.data.test:
@@ -64,9 +64,9 @@ def _remaining_offsets_of_test_records(case: EvidenceCase) -> list[float]:
     return offsets
 
 
-def _judge_short_rest_segments(case: EvidenceCase) -> Finding:
-    """Finding on records whose input is constant too briefly to show whether the plant comes to
-    rest."""
+def _short_rest_finding(case: EvidenceCase) -> Finding:
+    """Finding that the input is constant too briefly in all records to show whether the plant comes
+    to rest."""
     records = case.data.mismatch_records
     returns = [record for record in records if is_return_to_rest(record)]
     spread = largest_equilibrium_difference(case.model.scale, returns)
@@ -78,7 +78,7 @@ def _judge_short_rest_segments(case: EvidenceCase) -> Finding:
     return make_note(f"{problem}: whether the output rests by itself is unknown; add such returns.")
 
 
-def _judge_measured_range(case: EvidenceCase, mismatch: Mismatch) -> Iterator[Finding]:
+def _unmeasured_range_findings(case: EvidenceCase, mismatch: Mismatch) -> Iterator[Finding]:
     """Findings on amplitudes and frequencies of the input at which no record shows the model
     error."""
     if len(mismatch.views) == 1:

@@ -16,7 +16,7 @@ import numpy as np
 from ssm_study.certificates.certificate import Design
 from ssm_study.data.channel_names import as_name_tuple
 from ssm_study.data.clock import AGREEMENT
-from ssm_study.data.recording import Columns
+from ssm_study.data.recording import ColumnSettings
 from ssm_study.engine.settings import run_name
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.loop.rollout import Rollouts
@@ -93,7 +93,7 @@ def read_trial_logs(paths: Sequence[str], data: "RecordedSource", step_s: float)
     Raises `BadRequest` as they do, and for another sampling time.
     """
     source: Any = data
-    columns: Columns = source if isinstance(source, Columns) else source.training[0]
+    columns: ColumnSettings = source if isinstance(source, ColumnSettings) else source.training[0]
     in_both = set(as_name_tuple(columns.input)) & set(as_name_tuple(columns.output))
     problem = "names an input and an output, in files of their own"
     remedy = "give the two columns different names"

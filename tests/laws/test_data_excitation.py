@@ -15,7 +15,7 @@ from ssm_study.data.metrics import (
     UnidentifiableSlopesWarning,
     input_coverage,
     persistency_order,
-    warn_if_two_level,
+    warn_of_two_level_input,
 )
 from ssm_study.refusal import BadRequest
 
@@ -106,9 +106,9 @@ def test_coverage_tells_two_levels_from_many() -> None:
     two = data.build(plant, prbs, 0)
     assert input_coverage(many) > 0.8
     assert input_coverage(two) == pytest.approx(0.1)
-    assert warn_if_two_level(many) is None
+    assert warn_of_two_level_input(many) is None
     with pytest.warns(UnidentifiableSlopesWarning, match="armature_voltage: 2 levels only"):
-        warn_if_two_level(two)
+        warn_of_two_level_input(two)
 
 
 @pytest.mark.parametrize("sines", [1, 3])

@@ -10,7 +10,7 @@ import pytest
 from plants_cases import choices, from_yaml
 
 from ssm_study.cli.from_python import compose_configuration
-from ssm_study.data.assembly import dataset_from_tensors, dataset_to_tensors
+from ssm_study.data.assembly import dataset_from_arrays, dataset_to_arrays
 from ssm_study.data.simulated import TrainingAmplitudeWarning, simulate_mismatch_records
 from ssm_study.signals import DataSet
 from ssm_study.study.line import STUDY
@@ -161,10 +161,10 @@ def test_tensors_round_trip_bit_for_bit() -> None:
     data = replace(built(), start_up_samples=3)
     test = tuple(replace(one, log=2)[5:] for one in data.test)
     data = replace(data, test=test)
-    arrays, about = dataset_to_tensors(data)
+    arrays, about = dataset_to_arrays(data)
     text = json.dumps(about)
     content = json.loads(text)
-    again = dataset_from_tensors(arrays, content)
+    again = dataset_from_arrays(arrays, content)
     for part in ("training", "validation", "test"):
         for a, b in zip(getattr(data, part), getattr(again, part), strict=True):
             assert a.u.tobytes() == b.u.tobytes()

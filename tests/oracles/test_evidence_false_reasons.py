@@ -151,11 +151,11 @@ def rectified(u: np.ndarray) -> np.ndarray:
 def test_a_machine_at_rest_does_not_saturate_and_a_clipped_output_does():
     slow = LEVELS[:600].repeat(10)
     at_rest = case(slow, rectified(slow))
-    doubts = records._judge_saturation(at_rest)
+    doubts = records._saturation_findings(at_rest)
     assert not list(doubts)
     clipped = np.clip(answer(LEVELS), -0.3, 0.3)
     clipped_case = case(LEVELS, clipped)
-    findings = list(records._judge_saturation(clipped_case))
+    findings = list(records._saturation_findings(clipped_case))
     count = sentences(findings).count("it saturates")
     assert count == 2
     assert {finding.level for finding in findings} == {"doubt"}
@@ -165,11 +165,11 @@ def test_a_machine_that_stops_at_once_stands_at_zero_and_a_sensor_that_ends_else
     """Below its dead zone the machine stops within a sample, while the input goes on moving."""
     stopping = np.maximum(answer(LEVELS), 0.0)
     stopping_case = case(LEVELS, stopping)
-    (finding,) = records._judge_saturation(stopping_case)
+    (finding,) = records._saturation_findings(stopping_case)
     assert finding.level == "note"
     assert "stands at 0 in" in finding.sentence
     moved_up = case(LEVELS, stopping + 3.0)
-    (shifted,) = records._judge_saturation(moved_up)
+    (shifted,) = records._saturation_findings(moved_up)
     assert shifted.level == "doubt"
     assert "it saturates" in shifted.sentence
 
@@ -181,7 +181,7 @@ def test_a_position_at_its_farthest_does_not_saturate():
     u = 255 * sine
     position = motor_position(u, 60)
     moving_case = case(u, position)
-    doubts = records._judge_saturation(moving_case)
+    doubts = records._saturation_findings(moving_case)
     assert not list(doubts)
 
 
@@ -229,9 +229,9 @@ def test_a_motor_position_integrates_and_does_not_run_away(u, dead):
 def test_where_a_mode_seems_to_grow_the_integrator_is_recommended():
     position = motor_position(SWEEP, 60)
     log = case(SWEEP, position)
-    smallest = min(feedback.dominant_mode_modulus(log.data, lags) for lags in feedback.LAGS)
+    smallest = min(feedback.dominant_pole_modulus(log.data, lags) for lags in feedback.LAGS)
     assert smallest > 1
-    growth = feedback.growth_statistics(log.data)
+    growth = feedback.increment_statistics(log.data)
     assert growth[1] < feedback.GROWS
 
 
@@ -247,7 +247,7 @@ def test_what_runs_away_still_grows_with_itself(pole):
     logged_inputs = log.u[:, 0]
     logged_outputs = log.y[:, 0]
     data = blocks(logged_inputs, logged_outputs, [600, 800])
-    growth = feedback.growth_statistics(data)
+    growth = feedback.increment_statistics(data)
     assert growth[1] > feedback.GROWS
 
 
@@ -317,9 +317,13 @@ def test_a_slow_sweep_of_a_static_characteristic_has_no_false_reason():
     model = case(WHITE, WHITE).model
     log = with_runs(data, model, 0.1)
     assert not list(feedback.judge_feedback(log))
-    searches = (records._judge_range, records._judge_levels, records._judge_repetition)
+    searches = (
+        records._range_sentences,
+        records._input_level_sentences,
+        records._repetition_sentences,
+    )
     assert not [sentence for search in searches for sentence in search(log)]
-    assert not list(records._judge_saturation(log))
+    assert not list(records._saturation_findings(log))
     log_look = look(path, step_s=1.0)
     overview = str(log_look)
     assert "its level explains 91% of the output" in overview
@@ -343,9 +347,9 @@ def short_log(pole: float) -> EvidenceCase:
 
 def test_an_integrating_model_speaks_for_the_output_only_where_the_log_does():
     """A yaw rate returns slowly; the model that was chosen holds it for ever."""
-    (returns,) = records._judge_length(short_log(0.95))
+    (returns,) = records._length_sentences(short_log(0.95))
     assert "The chosen model integrates its input, and the log does not show" in returns
-    (sums,) = records._judge_length(short_log(1.0))
+    (sums,) = records._length_sentences(short_log(1.0))
     assert "The output integrates its input" in sums
 
 
@@ -355,12 +359,12 @@ def test_an_integrator_is_not_blamed_for_a_position_it_has_not_been_at():
     changed_data = replace(drifting.data, test=tuple(changed_records))
     beyond = replace(drifting, data=changed_data)
     about_the_output = [
-        sentence for sentence in records._judge_range(beyond) if "output" in sentence
+        sentence for sentence in records._range_sentences(beyond) if "output" in sentence
     ]
     assert not about_the_output
     lagging_model = case(WHITE, WHITE, slow=0.9).model
     lag = replace(beyond, model=lagging_model)
-    doubts = records._judge_range(lag)
+    doubts = records._range_sentences(lag)
     assert [sentence for sentence in doubts if "output is beyond" in sentence]
 
 

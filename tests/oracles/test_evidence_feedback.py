@@ -176,8 +176,8 @@ IN_LOOP = [(900 * np.log(1.01), 0.6, 9.0, ""), (9.9, 0.6, 0.0, RUNS_AWAY)]
 def words_on_instability(monkeypatch, growth, by_input, by_itself, in_loop) -> str:
     """Sentences on a mode that grows by this logarithm over all samples."""
     mode = float(np.exp(growth / 900))
-    monkeypatch.setattr(feedback, "dominant_mode_modulus", lambda *_: mode)
-    monkeypatch.setattr(feedback, "growth_statistics", lambda _: (by_input, by_itself))
+    monkeypatch.setattr(feedback, "dominant_pole_modulus", lambda *_: mode)
+    monkeypatch.setattr(feedback, "increment_statistics", lambda _: (by_input, by_itself))
     monkeypatch.setattr(feedback, "integrator_share", lambda _: None)
     signal = alternate(300)
     data = data_of(signal, signal, signal)

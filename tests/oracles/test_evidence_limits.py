@@ -167,7 +167,7 @@ def test_an_error_may_be_correlated_at_three_lags(pulses, words):
 def words_on_levels(signal: np.ndarray) -> str:
     """Sentences on the levels of an input."""
     judged = case_of_one(signal)
-    return " ".join(records._judge_levels(judged))
+    return " ".join(records._input_level_sentences(judged))
 
 
 def test_an_input_changes_at_least_ten_times():
@@ -206,7 +206,7 @@ def test_a_twentieth_of_the_test_record_may_be_a_twentieth_beyond(beyond, farthe
     tested[:beyond] = sign * farthest
     data = data_of(signal, signal, tested)
     judged = case_of(data, signal, signal)
-    text = " ".join(records._judge_range(judged))
+    text = " ".join(records._range_sentences(judged))
     assert text.count("6 % of the test record's") == count
     assert text.count("is beyond") == count
 
@@ -219,7 +219,7 @@ LENGTHS += [(299, 150, "lasts 150 samples"), (300, 150, "")]
 def test_records_hold_200_samples_and_two_responses(samples, lasting, words, monkeypatch):
     monkeypatch.setattr(StateSpace, "impulse_response_length", lambda _: lasting)
     judged = case_of_one(alternate(samples))
-    text = " ".join(records._judge_length(judged))
+    text = " ".join(records._length_sentences(judged))
     assert bool(text) == bool(words)
     assert words in text
 
@@ -228,7 +228,7 @@ def words_on_drift(error: np.ndarray) -> str:
     """Sentence on an error that drifts."""
     signal = alternate(len(error))
     judged = case_of_one(signal, error)
-    return " ".join(records._judge_drift(judged))
+    return " ".join(records._drift_sentences(judged))
 
 
 def test_a_drift_is_that_of_the_means_of_the_first_and_the_last_quarter():
@@ -246,7 +246,7 @@ def test_a_piece_shorter_than_a_quarter_of_the_longest_has_no_drift():
         data = data_of(signal, signal, alternate(samples))
         drift = np.linspace(-1, 1, samples)
         judged = case_of(data, np.zeros(400), drift)
-        drifts = list(records._judge_drift(judged))
+        drifts = list(records._drift_sentences(judged))
         assert bool(drifts) is is_said
 
 
@@ -254,7 +254,7 @@ def test_a_twentieth_of_the_test_record_may_have_trained(monkeypatch):
     judged = case_of_one(alternate(300))
     for share, words in ((0.05, ""), (0.06, "6 % of the test record")):
         monkeypatch.setattr(records, "repeated_test_share", lambda _, share=share: share)
-        text = " ".join(records._judge_repetition(judged))
+        text = " ".join(records._repetition_sentences(judged))
         assert text.startswith(words)
         assert bool(text) == bool(words)
 
@@ -268,7 +268,7 @@ def test_a_fine_output_may_stand_at_its_limit_for_two_percent(values, share, cou
     levels = np.linspace(-1, 1, values)
     signal = np.resize(levels, 300)
     judged = case_of_one(signal)
-    findings = list(records._judge_saturation(judged))
+    findings = list(records._saturation_findings(judged))
     assert len(findings) == count
 
 
@@ -297,7 +297,7 @@ RESPONSES = [(3, "sample more often"), (4, ""), (999, ""), (1000, "data.decimate
 def test_a_response_lasts_between_three_and_a_thousand_samples(lasting, words, monkeypatch):
     log = case(LEVELS, answer(LEVELS))
     monkeypatch.setattr(StateSpace, "impulse_response_length", lambda _: lasting)
-    text = sentences(response._judge_sampling(log))
+    text = sentences(response._sampling_findings(log))
     assert bool(text) == bool(words)
     assert words in text
 
@@ -310,7 +310,7 @@ def test_a_dead_time_of_two_samples_is_a_note_up_to_the_models_order(late, expec
     monkeypatch.setattr(type(MODEL), "order", 4)
     monkeypatch.setattr(response, "dead_time_samples", lambda _: late)
     judged = case_of_one(alternate(300))
-    findings = response._judge_dead_time(judged)
+    findings = response._dead_time_findings(judged)
     assert levels_of(findings) == expected
 
 
@@ -336,7 +336,7 @@ def test_half_of_the_band_may_be_incoherent(frequencies, words, monkeypatch):
     monkeypatch.setattr(response, "multiple_coherence", lambda *_: values)
     monkeypatch.setattr(response, "largest_gains", lambda _, angles: np.ones(len(angles)))
     log = case(LEVELS, answer(LEVELS))
-    text = sentences(response._judge_coherence(log))
+    text = sentences(response._coherence_findings(log))
     assert bool(text) == bool(words)
     assert words in text
 

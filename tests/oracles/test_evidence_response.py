@@ -14,7 +14,7 @@ from ssm_study.evidence import records
 from ssm_study.evidence.finding import CANNOT_JUDGE, EvidenceCase, Finding
 from ssm_study.evidence.fit import LAGS, judge_whiteness, unmodelled_output_share
 from ssm_study.evidence.metrics import collect_findings
-from ssm_study.evidence.records import _judge_range
+from ssm_study.evidence.records import _range_sentences
 from ssm_study.evidence.response import dead_time_samples, judge_response, multiple_coherence
 from ssm_study.models.metrics import Simulation
 from ssm_study.robustness.mismatch import measure_model_error
@@ -320,11 +320,11 @@ def test_a_test_record_beyond_the_training_records_is_told_of_the_signal_that_is
         swing = np.ptp(training_y)
         y[5000:] += 3.0 * swing
     log = case(u, y)
-    (sentence,) = _judge_range(log)
+    (sentence,) = _range_sentences(log)
     assert f"test record's {moved} is beyond the training records" in sentence
 
     unmoved = answered(LEVELS)
-    assert list(_judge_range(unmoved)) == []
+    assert list(_range_sentences(unmoved)) == []
 
 
 LONGER = records.WINDOW + 1
@@ -333,7 +333,7 @@ LONGER = records.WINDOW + 1
 @pytest.mark.parametrize("kept", [records.WINDOW, LONGER])
 def test_a_test_record_that_is_the_end_of_a_training_record_is_found_to_its_last_sample(kept):
     separate = answered(WHITE)
-    assert list(records._judge_repetition(separate)) == []
+    assert list(records._repetition_sentences(separate)) == []
 
     record = separate.data.training[0]
     last_u = record.u[-kept:]
@@ -341,5 +341,5 @@ def test_a_test_record_that_is_the_end_of_a_training_record_is_found_to_its_last
     end = replace(record, u=last_u, y=last_y)
     data = replace(separate.data, test=(end,))
     repeated = replace(separate, data=data)
-    (sentence,) = records._judge_repetition(repeated)
+    (sentence,) = records._repetition_sentences(repeated)
     assert sentence.startswith("100 % of the test record is part of the training records")

@@ -18,7 +18,7 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.data.readers.mat_hdf5 import parse_mat_hdf5
-from ssm_study.data.readers.reader import Reader, Table, check_column_names
+from ssm_study.data.readers.reader import Reader, Table, require_known_columns
 from ssm_study.refusal import BadRequest
 
 ColumnValues = Float[np.ndarray, "_"]
@@ -72,8 +72,8 @@ class MatText(str):
 
 
 def _require_intact(condition: bool, message: str) -> None:
-    """Raise `ValueError` for a damaged MATLAB file, which fails a condition that every intact file
-    fulfils."""
+    """Raise `ValueError` with a given message for a MATLAB file that violates a condition of the
+    file format."""
     if not condition:
         raise ValueError(message)
 
@@ -104,7 +104,7 @@ class MatReader(Reader, names=(".mat",)):
             if title not in columns and own:
                 problem = f"is a matrix of {len(own)} columns"
                 raise BadRequest(where, name, problem, f"name one as {own[0]} or {own[-1]}")
-            check_column_names(where, [title], sorted(places))
+            require_known_columns(where, [title], sorted(places))
             chosen[name] = columns[title]
             owners.append(title.rpartition(".")[0])
         step_s = stated_step_s(columns, texts, owners)
@@ -138,7 +138,7 @@ def stated_step_s(
 
 
 def name_fields_remark(columns: dict[str, ColumnValues], texts: dict[str, str]) -> str:
-    """Text that names each element of an array of structs, by the names that recorders store in a
+    """Text that states the name of each element in an array of structs, as recorders store it in a
     field `Name`."""
     remarks = []
     for title in columns:
@@ -158,9 +158,9 @@ def belong_to_one_matrix(columns: dict[str, ColumnValues]) -> bool:
 def read_numeric_variables(
     path: Path,
 ) -> tuple[dict[str, ColumnValues], dict[str, str], dict[str, str]]:
-    """Read all numeric variables of a MATLAB file, together with its texts and the reasons why
-    other variables are skipped. Vectors by name, matrices by columns; raises `BadRequest` for a
-    file that is not whole."""
+    """Read all numeric variables of a MATLAB file, its texts, and the reasons why other variables
+    are skipped. Vectors by name, matrices by columns; raises `BadRequest` for a file that is not
+    whole."""
     try:
         contents = parse_mat_file(path)
     except BadRequest:
@@ -224,7 +224,7 @@ def _parse_version_5(content: bytes) -> Iterator[tuple[str, Value]]:
 
 
 def _iterate_elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
-    """Iterate over the tagged data elements, types and contents, of a MATLAB 5 file. `(type,
+    """Iterate over the data elements of a MATLAB 5 file, each as its type and its contents. `(type,
     length)` and the data, padded to 8 bytes; or both in 8 bytes if they fit."""
     at = 0
     while at < len(content):
@@ -246,8 +246,8 @@ def _iterate_elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]
 
 
 def _parse_variable(data: bytes, order: str, owner: str = "") -> Iterator[tuple[str, Value]]:
-    """Iterate over the named values in one variable of a MATLAB 5 file, whose structs and cell
-    arrays have several. Fields of structs and cells of cell arrays have names of their own.
+    """Iterate over the named values in one variable of a MATLAB 5 file; a struct or cell array
+    contains several. Fields of structs and cells of cell arrays have names of their own.
 
     What kind of object it is is looked at before its shape: objects of new classes have neither
     shape nor name where matrices have them.
@@ -260,7 +260,7 @@ def _parse_variable(data: bytes, order: str, owner: str = "") -> Iterator[tuple[
     if kind == OPAQUE:
         words = [part.decode("ascii", errors="replace") for _, part in parts[1:4]]
         name = owner or next(iter(words), "")
-        yield name, describe_object(name, words[2] if len(words) == 3 else "")
+        yield name, describe_matlab_object(name, words[2] if len(words) == 3 else "")
         return
     _require_intact(len(parts) >= 3, "a variable has no name")
     name = owner or parts[2][1].decode("ascii")
@@ -277,7 +277,7 @@ def _parse_variable(data: bytes, order: str, owner: str = "") -> Iterator[tuple[
         yield name, _parse_matrix(parts, order, name)
 
 
-def describe_object(name: str, class_name: str) -> str:
+def describe_matlab_object(name: str, class_name: str) -> str:
     """Describe an object of a new MATLAB class, and name the property that contains its numbers."""
     if not class_name:
         return CLASSES[OPAQUE]
@@ -289,8 +289,8 @@ def describe_object(name: str, class_name: str) -> str:
 def _parse_struct(
     parts: list[tuple[int, bytes]], kind: int, owner: str, order: str
 ) -> Iterator[tuple[str, Value]]:
-    """Iterate over the fields of a MATLAB struct, or old-style object, as `owner.field`; those of
-    an array of structs as `owner(1).field`, `owner(2).field`, ..."""
+    """Iterate over the fields of a MATLAB struct or old-style object, named `owner.field`, or
+    `owner(1).field` in an array of structs."""
     shape = np.frombuffer(parts[1][1], order + "i4")
     at = 4 if kind == OBJECT else 3  # an object says its class before its fields
     count = int(shape.prod())
@@ -315,8 +315,8 @@ def _parse_struct(
 
 
 def _parse_matrix(parts: list[tuple[int, bytes]], order: str, name: str) -> Value:
-    """Parse a matrix of a MATLAB 5 file to real numbers, or describe in words what else it
-    contains."""
+    """Parse a matrix of a MATLAB 5 file to real numbers, or return a word for contents that are no
+    real numbers."""
     flags = struct.unpack_from(order + "I", parts[0][1])[0]
     sizes = np.frombuffer(parts[1][1], order + "i4")
     shape = tuple(int(size) for size in sizes)

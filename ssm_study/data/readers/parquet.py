@@ -7,7 +7,12 @@ from pathlib import Path
 import pyarrow as pa
 from pyarrow import parquet
 
-from ssm_study.data.readers.reader import Reader, Table, arrow_columns_to_arrays, check_column_names
+from ssm_study.data.readers.reader import (
+    Reader,
+    Table,
+    arrow_columns_to_arrays,
+    require_known_columns,
+)
 from ssm_study.refusal import BadRequest, require
 
 MOST_BYTES = 1 << 28  # of the named columns, unpacked
@@ -21,7 +26,7 @@ class ParquetReader(Reader, names=(".parquet",)):
         where = f"{path.name} (column)"
         try:
             schema = parquet.read_schema(path)
-            check_column_names(where, names, schema.names)
+            require_known_columns(where, names, schema.names)
             for kind, name in ((schema.field(name).type, name) for name in names):
                 numeric = is_numeric_type(kind)
                 problem = f"holds {kind}, not numbers"

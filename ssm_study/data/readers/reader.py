@@ -70,8 +70,8 @@ class Reader(Family):
 
     @abstractmethod
     def read(self, path: Path, names: list[str]) -> Table:
-        """Read the named columns of a log file. Raises `BadRequest` for a file that is not whole, a
-        missing or ambiguous column."""
+        """Read the named columns of a log file to a table. Raises `BadRequest` for a file that is
+        not whole, a missing or ambiguous column."""
 
     def read_all_columns(self, path: Path) -> Table:
         """Read all readable columns of a log file, in the order of the file. Refuses a file that is
@@ -171,7 +171,7 @@ def has_columns(path: Path, names: Sequence[str], settings: TextSettings | None 
         return False
 
 
-def check_column_names(
+def require_known_columns(
     field: str,
     names: list[str],
     titles: Sequence[str],
@@ -204,9 +204,12 @@ def normalise_title(title: str) -> str:
     return re.sub(r"[\W_]+", "", normal).lower()
 
 
-def find_column(path: Path, name: str, titles: list[str], header: bool | None = None) -> int:
-    """Find the index of the column that a name or number stands for, among the titles of a log
-    file. The name may be exact, without its unit, or agree in its letters alone.
+def require_column_index(
+    path: Path, name: str, titles: list[str], header: bool | None = None
+) -> int:
+    """Index of the column that a name or number stands for, among the titles of a log file; raises
+    `BadRequest` if there is none. The name may be exact, without its unit, or agree in its letters
+    alone.
 
     A number counts the columns from 0. Where it is a title too, and of another column, the request
     is refused with both readings; `header` true says that it is the title.
@@ -222,7 +225,7 @@ def find_column(path: Path, name: str, titles: list[str], header: bool | None = 
     for word, titles_in_form in zip(wanted_forms, ways, strict=True):
         if not word or word not in titles_in_form:
             continue
-        check_column_names(where, [word], titles_in_form, "header")
+        require_known_columns(where, [word], titles_in_form, "header")
         place = titles_in_form.index(word)
         counted = numbered and place != number and header is None
         if counted:
@@ -238,8 +241,8 @@ def find_column(path: Path, name: str, titles: list[str], header: bool | None = 
     numbers = [str(j) for j in range(len(titles))]
     if list(titles) == numbers:
         remedy = "count the columns from 0, or write names into the first line"
-        check_column_names(where, [name], titles, "file without names", remedy)
-    check_column_names(where, [name], titles, "header")
+        require_known_columns(where, [name], titles, "file without names", remedy)
+    require_known_columns(where, [name], titles, "header")
     raise AssertionError  # check_named has refused it
 
 

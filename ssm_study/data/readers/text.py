@@ -12,7 +12,7 @@ from jaxtyping import Float
 from pyarrow import csv as arrow_csv
 
 from ssm_study.data.dates import AmbiguousDatesError, dates_to_seconds, is_date
-from ssm_study.data.readers.reader import Reader, Table, find_column
+from ssm_study.data.readers.reader import Reader, Table, require_column_index
 from ssm_study.data.text_cells import MISSING
 from ssm_study.data.text_layout import TextLayout, TextSettings, detect_layout
 from ssm_study.data.written_numbers import AMBIGUOUS, normalise_numbers
@@ -53,7 +53,9 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
     def read(self, path: Path, names: list[str]) -> Table:
         layout, table = self._parse_file(path)
         titles = blank_duplicate_titles(column_titles(layout), table)
-        places = {name: find_column(path, name, titles, self.settings.header) for name in names}
+        places = {
+            name: require_column_index(path, name, titles, self.settings.header) for name in names
+        }
         columns = {}
         for name, place in places.items():
             values, problem = parse_column(table.column(place), layout)
@@ -167,8 +169,8 @@ def parse_rows(path: Path, layout: TextLayout) -> pa.Table:
     misfits: list[arrow_csv.InvalidRow] = []
 
     def collect_misfit_row(row: arrow_csv.InvalidRow) -> str:
-        """Store a row with a wrong number of cells for the error message, and let the CSV parser
-        skip the row."""
+        """Store a row with a wrong number of cells for the error message, and tell the CSV parser
+        to skip the row."""
         misfits.append(row)
         return "skip"
 

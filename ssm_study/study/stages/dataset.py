@@ -28,9 +28,9 @@ def write_dataset(folder: Path, records: DataSet) -> None:
     """Write a data set of training, validation and test records into a folder."""
     from safetensors.numpy import save_file
 
-    from ssm_study.data.assembly import dataset_to_tensors
+    from ssm_study.data.assembly import dataset_to_arrays
 
-    arrays, about = dataset_to_tensors(records)
+    arrays, about = dataset_to_arrays(records)
     save_file(arrays, folder / "records.safetensors")
     write_json(folder / "records.json", about)
 
@@ -39,10 +39,10 @@ def read_dataset(folder: Path) -> DataSet:
     """Read a stored data set: training, validation and test records in physical units."""
     from safetensors.numpy import load_file
 
-    from ssm_study.data.assembly import dataset_from_tensors
+    from ssm_study.data.assembly import dataset_from_arrays
 
     arrays = load_file(folder / "records.safetensors")
-    return dataset_from_tensors(arrays, read_json(folder / "records.json"))
+    return dataset_from_arrays(arrays, read_json(folder / "records.json"))
 
 
 DATASET = Stage(
