@@ -20,7 +20,7 @@ BITS = (
 )  # floats have 53; certificates whose margin floats still see are decided by the first
 
 
-class Exact:
+class ExactMatrix:
     """Matrix of exact rational numbers, with arithmetic written as for NumPy arrays.
 
     `+, -, @, .T, [:, :]` as NumPy has them, with arrays and floats too; `*` scales by a number.
@@ -33,7 +33,7 @@ class Exact:
         self.rational = rational
 
     @classmethod
-    def from_floats(cls, value: Any) -> "Exact":
+    def from_floats(cls, value: Any) -> "ExactMatrix":
         """Convert a matrix of floats exactly to rationals. Raises `ValueError` or `OverflowError`
         for NaN or infinity."""
         if isinstance(value, cls):
@@ -43,7 +43,7 @@ class Exact:
         return cls(fmpq_mat(len(matrix), matrix.shape[1], entries))
 
     @classmethod
-    def block(cls, rows: list[list[Any]]) -> "Exact":
+    def block(cls, rows: list[list[Any]]) -> "ExactMatrix":
         """Assemble an exact matrix from nested rows of blocks, like `np.block`. Raises `ValueError`
         if the blocks do not fit together."""
         return cls._from_entries(
@@ -51,7 +51,7 @@ class Exact:
         )
 
     @classmethod
-    def _from_entries(cls, entries: np.ndarray) -> "Exact":
+    def _from_entries(cls, entries: np.ndarray) -> "ExactMatrix":
         """Exact matrix from a two-dimensional array of rational numbers."""
         return cls(fmpq_mat(len(entries), entries.shape[1], entries.ravel().tolist()))
 
@@ -65,16 +65,16 @@ class Exact:
         return self.rational.nrows(), self.rational.ncols()
 
     @property
-    def T(self) -> "Exact":
+    def T(self) -> "ExactMatrix":
         """Transpose of the matrix."""
-        return Exact(self.rational.transpose())
+        return ExactMatrix(self.rational.transpose())
 
-    def __getitem__(self, index: tuple[slice, slice]) -> "Exact":
-        return Exact._from_entries(self._entries()[index])
+    def __getitem__(self, index: tuple[slice, slice]) -> "ExactMatrix":
+        return ExactMatrix._from_entries(self._entries()[index])
 
-    def diagonal_matrix(self) -> "Exact":
+    def diagonal_matrix(self) -> "ExactMatrix":
         """Diagonal matrix with the entries of a row vector on its diagonal."""
-        return Exact._from_entries(np.diagflat(self._entries()[0]))
+        return ExactMatrix._from_entries(np.diagflat(self._entries()[0]))
 
     def to_floats(self) -> Float[np.ndarray, "r c"]:
         """Convert the exact matrix to floats, each entry rounded once to the nearest float. The
@@ -83,40 +83,40 @@ class Exact:
             [[int(entry.p) / int(entry.q) for entry in row] for row in self.rational.tolist()]
         )
 
-    def __add__(self, other: Any) -> "Exact":
-        return Exact(self.rational + Exact.from_floats(other).rational)
+    def __add__(self, other: Any) -> "ExactMatrix":
+        return ExactMatrix(self.rational + ExactMatrix.from_floats(other).rational)
 
     __radd__ = __add__
 
-    def __neg__(self) -> "Exact":
+    def __neg__(self) -> "ExactMatrix":
         return self * -1
 
-    def __sub__(self, other: Any) -> "Exact":
-        return self + -Exact.from_floats(other)
+    def __sub__(self, other: Any) -> "ExactMatrix":
+        return self + -ExactMatrix.from_floats(other)
 
-    def __rsub__(self, other: Any) -> "Exact":
+    def __rsub__(self, other: Any) -> "ExactMatrix":
         return -self + other
 
-    def __matmul__(self, other: Any) -> "Exact":
-        return Exact(self.rational * Exact.from_floats(other).rational)
+    def __matmul__(self, other: Any) -> "ExactMatrix":
+        return ExactMatrix(self.rational * ExactMatrix.from_floats(other).rational)
 
-    def __rmatmul__(self, other: Any) -> "Exact":
-        return Exact.from_floats(other) @ self
+    def __rmatmul__(self, other: Any) -> "ExactMatrix":
+        return ExactMatrix.from_floats(other) @ self
 
-    def __mul__(self, other: Any) -> "Exact":
+    def __mul__(self, other: Any) -> "ExactMatrix":
         number, matrix = (
-            (self, Exact.from_floats(other))
+            (self, ExactMatrix.from_floats(other))
             if self.shape == (1, 1)
-            else (Exact.from_floats(other), self)
+            else (ExactMatrix.from_floats(other), self)
         )
         if number.shape != (1, 1):
             raise ValueError("only a number scales a matrix")
-        return Exact(matrix.rational * number.rational[0, 0])
+        return ExactMatrix(matrix.rational * number.rational[0, 0])
 
     __rmul__ = __mul__
 
 
-def is_positive_definite(matrix: Exact) -> bool:
+def is_positive_definite(matrix: ExactMatrix) -> bool:
     """Whether an exact rational matrix is symmetric and positive definite, decided without
     rounding."""
     integer, _ = matrix.rational.numer_denom()  # the common denominator is positive

@@ -40,6 +40,7 @@ MODULES: Mapping[str, str] = {
 # Classes, functions and constants, by the module in which an import looks for them today.
 NAMES: Mapping[str, str] = {
     "certificates.frontier.frontier": "certificates.frontier.contraction_frontier",
+    "exact.Exact": "exact.ExactMatrix",
     "report.words.column_words": "report.words.printed_column_name",
     "report.words.verdicts": "report.words.verdict_words",
     "robustness.prediction.predict": "robustness.prediction.predict_margins",
@@ -250,7 +251,7 @@ METHODS: Mapping[str, Mapping[str, str]] = {
     },
     "robustness.prediction.Prediction": {"keeps_the_plant": "predicts_stability"},
     "engine.runs.Run": {"note": "add_columns"},
-    "exact.Exact": {"of": "from_floats", "rounded": "to_floats"},
+    "exact.ExactMatrix": {"of": "from_floats", "rounded": "to_floats"},
     "signals.DataSet": {"undelayed": "shift_out_dead_time"},
     "signals.Scale": {"unit": "identity"},
     "signals.Trajectory": {"joined": "concatenate"},

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.bounds.network import Network
-from ssm_study.exact import Exact, is_positive_definite
+from ssm_study.exact import ExactMatrix, is_positive_definite
 
 
 def is_proved_nonexpansive(network: Network, multipliers: Sequence[Float[np.ndarray, "_"]]) -> bool:
@@ -30,7 +30,7 @@ def is_proved_nonexpansive(network: Network, multipliers: Sequence[Float[np.ndar
     input_selection = selections[0]
     form = input_selection.T @ input_selection
     for layer, (weight, _, negative, positive) in enumerate(network.hidden_layers()):
-        pre_activation = Exact.from_floats(weight) @ selections[layer]
+        pre_activation = ExactMatrix.from_floats(weight) @ selections[layer]
         output = selections[layer + 1]
         least_slopes = _exact_diagonal_matrix(np.minimum(negative, positive))
         largest_slopes = _exact_diagonal_matrix(np.maximum(negative, positive))
@@ -39,12 +39,12 @@ def is_proved_nonexpansive(network: Network, multipliers: Sequence[Float[np.ndar
         below_largest = largest_slopes @ pre_activation - output
         sector = above_least.T @ (multiplier @ below_largest)
         form = form - sector - sector.T
-    last_weight = Exact.from_floats(network.weights[-1])
+    last_weight = ExactMatrix.from_floats(network.weights[-1])
     response = last_weight @ selections[-1]
     return is_positive_definite(form - response.T @ response)
 
 
-def _selection_matrices(network: Network) -> list[Exact]:
+def _selection_matrices(network: Network) -> list[ExactMatrix]:
     """Matrices that select each layer's input and output from the vector of all signals of a
     network. The stack is `(v, d_1, ..., d_L)`."""
     sizes = [network.input_count, *(len(bias) for bias in network.biases)]
@@ -53,10 +53,10 @@ def _selection_matrices(network: Network) -> list[Exact]:
     selections = []
     for size, end in zip(sizes, ends, strict=True):
         rows = identity[end - size : end]
-        selections.append(Exact.from_floats(rows))
+        selections.append(ExactMatrix.from_floats(rows))
     return selections
 
 
-def _exact_diagonal_matrix(entries: Float[np.ndarray, "_"]) -> Exact:
+def _exact_diagonal_matrix(entries: Float[np.ndarray, "_"]) -> ExactMatrix:
     """Diagonal matrix with given diagonal elements in exact rational arithmetic."""
-    return Exact.from_floats(entries).diagonal_matrix()
+    return ExactMatrix.from_floats(entries).diagonal_matrix()

@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.exact import Exact, is_positive_definite
+from ssm_study.exact import ExactMatrix, is_positive_definite
 from ssm_study.extensions import import_trusted_modules
 from ssm_study.refusal import require
 from ssm_study.systems import JacobianBall, JacobianBalls, StructuredSystem
@@ -75,14 +75,14 @@ def assemble_blocks(rows: Blocks) -> Any:
     """Assemble a matrix from rows of blocks, in exact numbers if one of the blocks is exact,
     otherwise in floats."""
     blocks = [block for row in rows for block in row]
-    if any(isinstance(block, Exact) for block in blocks):
-        return Exact.block(rows)
+    if any(isinstance(block, ExactMatrix) for block in blocks):
+        return ExactMatrix.block(rows)
     return np.block(rows)
 
 
 def multiplier_matrix(multipliers: Any) -> Any:
     """Diagonal matrix with a vector of multipliers, floats or exact numbers, on its diagonal."""
-    if isinstance(multipliers, Exact):
+    if isinstance(multipliers, ExactMatrix):
         return multipliers.diagonal_matrix()
     return np.diagflat(multipliers)
 
@@ -225,11 +225,11 @@ class Theorem(ABC):
         return scaled
 
     @classmethod
-    def exact_conditions(cls, **numbers: Any) -> dict[str, Exact]:
+    def exact_conditions(cls, **numbers: Any) -> dict[str, ExactMatrix]:
         """Matrices of a theorem's conditions in exact rational arithmetic. Raises `ValueError`
         where the shapes do not fit."""
-        blocks_by_label = cls._evaluate_conditions(Exact.from_floats, numbers)
-        return {label: Exact.block(blocks) for label, blocks in blocks_by_label.items()}
+        blocks_by_label = cls._evaluate_conditions(ExactMatrix.from_floats, numbers)
+        return {label: ExactMatrix.block(blocks) for label, blocks in blocks_by_label.items()}
 
     @classmethod
     def holds(cls, **numbers: Any) -> bool:
@@ -276,7 +276,7 @@ class Theorem(ABC):
         rounded to floats."""
         products = {}
         for name, (left, right) in cls.products.items():
-            product = Exact.from_floats(numbers[left]) @ numbers[right]
+            product = ExactMatrix.from_floats(numbers[left]) @ numbers[right]
             products[name] = product.to_floats()
         return products
 

@@ -12,7 +12,7 @@ from flint import arb, arb_mat, ctx, fmpq, fmpq_mat
 from ssm_study.certificates.frontier import contraction_frontier
 from ssm_study.certificates.problem import Problem
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
-from ssm_study.exact import Exact
+from ssm_study.exact import ExactMatrix
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis, minimum_energy_gain
 from ssm_study.synthesis.modes import _state_scales, split_modes
@@ -78,7 +78,7 @@ def least_metric(problem: Problem, k: np.ndarray, contraction: float, scale: np.
     return (h + h.transpose()) / 2
 
 
-def rounded(metric: arb_mat, bits: int) -> Exact:
+def rounded(metric: arb_mat, bits: int) -> ExactMatrix:
     """The entries of the upper triangle, each rounded to so many bits."""
     before = ctx.prec
     ctx.prec = bits
@@ -94,7 +94,7 @@ def rounded(metric: arb_mat, bits: int) -> Exact:
     shift = max(0, *exponents)
     scaled = [mantissa << (shift + exponent) for mantissa, exponent in parts]
     rational = fmpq_mat(size, size, scaled) * fmpq(1, 1 << shift)
-    return Exact(rational)
+    return ExactMatrix(rational)
 
 
 def certified(problem: Problem, k: np.ndarray, p: arb_mat, bits: int) -> bool:

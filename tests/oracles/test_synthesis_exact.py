@@ -13,7 +13,7 @@ from ssm_study import exact
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
-from ssm_study.exact import Exact
+from ssm_study.exact import ExactMatrix
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.lmi import LmiSynthesis
 from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis
@@ -69,7 +69,7 @@ def test_the_exact_routes_agree_with_textbook_elimination(
     fractions = []
     for row in matrix.tolist():
         fractions.append([Fraction(value) for value in row])
-    as_exact = Exact.from_floats(matrix)
+    as_exact = ExactMatrix.from_floats(matrix)
     verdict = exact.is_positive_definite(as_exact)
     assert verdict == plain_ldl_is_positive(fractions)
     rational = as_exact.rational
@@ -138,7 +138,7 @@ def test_minors_of_one_and_of_zero() -> None:
     assert not exact.has_positive_leading_minors(integer)
 
 
-def assert_inequality(conditions: dict[str, Exact], expected: np.ndarray) -> None:
+def assert_inequality(conditions: dict[str, ExactMatrix], expected: np.ndarray) -> None:
     """The exact inequality, in floats, is this matrix."""
     actual = conditions["inequality"].to_floats()
     np.testing.assert_allclose(actual, expected, atol=1e-13)
@@ -196,15 +196,15 @@ def test_units_far_apart_are_decided_by_the_balls_alone(monkeypatch: pytest.Monk
     forbid_elimination(monkeypatch)
     entries = [[2, 2**40], [2**40, 2 * 2**80]]
     rational = fmpq_mat(entries)
-    matrix = Exact(rational)
+    matrix = ExactMatrix(rational)
     assert exact.is_positive_definite(matrix)
     entries = [[1, 2**41], [2**41, 2**80]]
     rational = fmpq_mat(entries)
-    matrix = Exact(rational)
+    matrix = ExactMatrix(rational)
     assert not exact.is_positive_definite(matrix)
     entries = [[2**400, 2**200], [2**200, 0]]
     rational = fmpq_mat(entries)
-    matrix = Exact(rational)
+    matrix = ExactMatrix(rational)
     assert not exact.is_positive_definite(matrix)
 
 
@@ -221,7 +221,7 @@ def test_what_is_singular_exactly_is_left_to_the_elimination(
     monkeypatch.setattr(exact, "has_positive_leading_minors", record_integer)
     rows = [[3, 1, 4], [1, 3, 4], [4, 4, 8]]  # the last row is the sum of the others
     third = fmpz_mat(rows)
-    matrix = Exact(fmpq_mat(third))
+    matrix = ExactMatrix(fmpq_mat(third))
     assert not exact.is_positive_definite(matrix)
     assert eliminated == [third]
 
@@ -233,7 +233,7 @@ INDEFINITE = [[[0, 1], [1, 0]], [[-1, 0], [0, 1]]]
 
 @pytest.mark.parametrize("rows", [*SCALARS, *SINGULAR, *INDEFINITE])
 def test_zero_and_less_on_the_diagonal(rows: list[list[int]]) -> None:
-    matrix = Exact(fmpq_mat(rows))
+    matrix = ExactMatrix(fmpq_mat(rows))
     assert not exact.is_positive_definite(matrix)
 
 
@@ -252,7 +252,7 @@ def test_what_floats_cannot_see_needs_no_elimination(
     entries = 0.1 * drawn_entries
     strict_triangle = np.tril(entries, -1)
     unit_triangle = strict_triangle + np.eye(size)
-    lower = Exact.from_floats(unit_triangle)
+    lower = ExactMatrix.from_floats(unit_triangle)
     falling = np.geomspace(1, 1e-3, size - 1)
     pivots = [*falling, smallest]
     diagonal = np.diag(pivots)
@@ -271,8 +271,8 @@ def test_a_factor_whose_inverse_is_beyond_the_floats_is_decided() -> None:
     floats = factor @ factor.T
     actual = np.linalg.cholesky(floats)
     np.testing.assert_array_equal(actual, factor)
-    matrix = Exact.from_floats(floats)
+    matrix = ExactMatrix.from_floats(floats)
     assert exact.is_positive_definite(matrix)
     floats[-1, -1] = 1.0  # the last pivot is zero
-    matrix = Exact.from_floats(floats)
+    matrix = ExactMatrix.from_floats(floats)
     assert not exact.is_positive_definite(matrix)

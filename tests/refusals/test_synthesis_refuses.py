@@ -14,7 +14,7 @@ from ssm_study.certificates.certificate import Infeasible, StateFeedback
 from ssm_study.certificates.frontier import contraction_frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
-from ssm_study.exact import Exact
+from ssm_study.exact import ExactMatrix
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.design import DesignAttempt
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -55,10 +55,10 @@ def test_an_indefinite_matrix_whose_rounded_picture_is_definite() -> None:
     rounded_rows = [[1.0, 1.0], almost_equal]
     rounded = np.array(rounded_rows)
     rows = [[one, off], [off, last]]
-    indefinite = Exact(fmpq_mat(rows))
+    indefinite = ExactMatrix(fmpq_mat(rows))
     changed_last_row = [off, last + 2**4]
     changed_rows = [[one, off], changed_last_row]
-    definite = Exact(fmpq_mat(changed_rows))
+    definite = ExactMatrix(fmpq_mat(changed_rows))
 
     cholesky_factor = np.linalg.cholesky(rounded)
     assert cholesky_factor[1, 1] > 0
@@ -71,13 +71,13 @@ def test_one_unit_in_the_last_place_decides() -> None:
     below = np.nextafter(1.0, 0.0)
     rows_of_definite = [[1.0, below], [below, 1.0]]
     of_definite = np.array(rows_of_definite)
-    definite = Exact.from_floats(of_definite)
+    definite = ExactMatrix.from_floats(of_definite)
     rows_of_singular = [[1.0, 1.0], [1.0, 1.0]]
     of_singular = np.array(rows_of_singular)
-    singular = Exact.from_floats(of_singular)
+    singular = ExactMatrix.from_floats(of_singular)
     rows_of_unsymmetric = [[1.0, below], [1.0, 1.0]]
     of_unsymmetric = np.array(rows_of_unsymmetric)
-    unsymmetric = Exact.from_floats(of_unsymmetric)
+    unsymmetric = ExactMatrix.from_floats(of_unsymmetric)
 
     assert exact.is_positive_definite(definite)
     assert not exact.is_positive_definite(singular)
@@ -302,4 +302,4 @@ def test_exact_arithmetic_takes_no_nan() -> None:
     row = [np.nan]
     matrix = np.array([row])
     with pytest.raises((ValueError, OverflowError)):
-        Exact.from_floats(matrix)
+        ExactMatrix.from_floats(matrix)
