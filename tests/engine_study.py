@@ -55,7 +55,7 @@ class Badly(Task[Settings]):
         require(condition, "seed", config.seed, "negative", "give 0 or more")
         return config
 
-    def stages(self, request: Settings, stages: Stages) -> None:
+    def run_stages(self, request: Settings, stages: Stages) -> None:
         settings = {"seed": request.seed}
         data = stages.run_stage(DATA, settings)
         settings = {"rate": request.rate, "seed": request.seed}
@@ -64,7 +64,7 @@ class Badly(Task[Settings]):
     def parameters(self, request: Settings) -> dict[str, Any]:
         return {"seed": request.seed, "rate_controller": request.rate}
 
-    def run(self, request: Settings, run: Run) -> dict[str, Any]:
+    def final_columns(self, request: Settings, run: Run) -> dict[str, Any]:
         BEHAVIOUR[request.do](run)
         number = run.facts["number"]
         model_path = run.path / "model.json"

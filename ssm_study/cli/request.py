@@ -135,7 +135,7 @@ def check_jobs_before_start(request: HydraCommandLine) -> Iterator[None]:
         yield
         return
     jobs = create_jobs(
-        Composer(request.config_loader, config, STUDY.refuse_configuration),
+        Composer(request.config_loader, config, STUDY.refuse_invalid_configuration),
         grid_combinations(config),
     )
     # On Slurm our launcher checks them, too.

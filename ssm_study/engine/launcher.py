@@ -62,8 +62,10 @@ def launch_sweep(
     plan them. Returns one `JobReturn` for each."""
     setup_globals()
     task = find_task(sweep.task_function)
-    task.refuse_configuration(sweep.config)
-    composer = Composer(sweep.hydra_context.config_loader, sweep.config, task.refuse_configuration)
+    task.refuse_invalid_configuration(sweep.config)
+    composer = Composer(
+        sweep.hydra_context.config_loader, sweep.config, task.refuse_invalid_configuration
+    )
     jobs = create_jobs(composer, overrides, first_number)
     unique = list({job.folder: job for job in jobs}.values())  # equal configurations are one run
     for job in unique:
@@ -186,7 +188,7 @@ def preload_for_jobs(task: Task[Any], jobs: list[Job]) -> None:
     planned = KeyedStages(shared_store(jobs[0].settings))
     for job in jobs:
         with contextlib.suppress(Exception):  # the job itself says what is wrong with it
-            task.stages(task.request(job.settings), planned)
+            task.run_stages(task.request(job.settings), planned)
     missing = Counter(result.name for result in planned.noted.values() if not result.reused)
     task.preload_modules({name for name, number in missing.items() if number > 1})
     task.provenance()

@@ -54,11 +54,11 @@ class Task(ABC, Generic[R]):
         mistake that can be seen before long work."""
 
     @abstractmethod
-    def stages(self, request: R, stages: Stages) -> None:
+    def run_stages(self, request: R, stages: Stages) -> None:
         """Run, or only plan, every computing step (stage) of a run, depending on the given store of
         results."""
 
-    def run(self, request: R, run: Run) -> Facts:  # noqa: ARG002
+    def final_columns(self, request: R, run: Run) -> Facts:  # noqa: ARG002
         """Columns of a run's record that can only be computed after all computing steps.
         `run.facts` holds the stages' columns, `status` may be `infeasible`."""
         return {}
@@ -71,7 +71,7 @@ class Task(ABC, Generic[R]):
         """Columns of a run's record that depend only on the command line."""
         return {}
 
-    def refuse_configuration(self, config: DictConfig) -> None:
+    def refuse_invalid_configuration(self, config: DictConfig) -> None:
         """Raise `BadRequest` for a configuration with forbidden content, before anything in the
         configuration is resolved or instantiated."""
 
@@ -96,7 +96,7 @@ class Task(ABC, Generic[R]):
         """Convert a configuration to plain settings, after a check for forbidden content. Raises
         `BadRequest` for such content."""
         if not isinstance(config, Settings):
-            self.refuse_configuration(config)
+            self.refuse_invalid_configuration(config)
         settings = plain_settings(config)
         for name in FLAGS & settings.keys():
             value = settings[name]
@@ -121,7 +121,7 @@ class Task(ABC, Generic[R]):
         # Before anything is built: a finished run costs next to nothing.
         outcome = self.outcome_without_running(settings)
         if settings.get("dry_run"):
-            runners = [lambda stages: self.stages(self.request(settings), stages)]
+            runners = [lambda stages: self.run_stages(self.request(settings), stages)]
             if outcome is not None:
                 runners = []
             store = shared_store(settings)
@@ -132,12 +132,12 @@ class Task(ABC, Generic[R]):
             return outcome
         request = self.request(settings)
 
-        def run_stages(run: Run) -> Facts:
+        def run_all_stages(run: Run) -> Facts:
             """Run every computing step of a run, and return the columns that complete its
             record."""
             announces = settings.get("progress") is True and sys.stderr.isatty()
-            self.stages(request, RunStages(shared_store(settings).root, run, announces))
-            return self.run(request, run)
+            self.run_stages(request, RunStages(shared_store(settings).root, run, announces))
+            return self.final_columns(request, run)
 
         overrides = list(HydraConfig.get().overrides.task) if HydraConfig.initialized() else []
         parameters = self.parameters(request) | self.command_line_columns(request, overrides)
@@ -147,7 +147,7 @@ class Task(ABC, Generic[R]):
         return execute_run(
             run_folder(settings),
             parameters,
-            run_stages,
+            run_all_stages,
             configuration={
                 "config.yaml": yaml_text(settings),
                 "overrides.yaml": yaml_text(overrides),

@@ -47,7 +47,7 @@ class StudyTask(Task["Specification"]):
         "ssm-study",
     )
 
-    def refuse_configuration(self, config: DictConfig) -> None:
+    def refuse_invalid_configuration(self, config: DictConfig) -> None:
         """Raise `BadRequest` for a configuration with forbidden classes or unknown parts."""
         rename_old_settings(config)
         refuse_foreign_targets(config)
@@ -110,10 +110,10 @@ class StudyTask(Task["Specification"]):
         if is_on_processor or settings.get("dry_run") or not launcher.endswith(LOCAL):
             return False
         planned = PlannedStages(shared_store(settings))
-        self.stages(request, planned)
+        self.run_stages(request, planned)
         return any(stage.name == "model" and not stage.reused for stage in planned.noted.values())
 
-    def stages(self, request: "Specification", stages: Stages) -> None:
+    def run_stages(self, request: "Specification", stages: Stages) -> None:
         """Run, or only plan, all computing steps (stages) of a run in their order.
 
         A baseline is scored, and there it ends. With `refine` the design is tried before it is
@@ -205,7 +205,7 @@ class StudyTask(Task["Specification"]):
             model_run = stages.run_stage(SCORE, {}, {}, data, model)
         return data, model, model_run
 
-    def run(self, request: "Specification", run: Run) -> Facts:
+    def final_columns(self, request: "Specification", run: Run) -> Facts:
         """Final columns of a run's record, with the status `infeasible` if controller or observer
         is missing."""
         del request

@@ -109,7 +109,7 @@ def test_a_job_finds_the_versions_of_the_code_that_its_server_has_read(tmp_path:
     cache_before = code.code_version.cache_info()
     read = cache_before.misses
     stages = Store(tmp_path / ".store")
-    task.stages(settings, stages)
+    task.run_stages(settings, stages)
     cache_after = code.code_version.cache_info()
     misses = cache_after.misses
     assert misses == read > 0
@@ -137,7 +137,7 @@ def test_what_several_jobs_compute_is_imported_for_all_of_them(tmp_path: Path) -
     preload_for_jobs(Asked(), [job_a, job_c])
     first = job("a", 1, 1)
     stages = Store(tmp_path / ".store")
-    Asked().stages(first.settings, stages)
+    Asked().run_stages(first.settings, stages)
     preload_for_jobs(Asked(), [first, job("c", 2, 1)])
     both = {"data", "model"}
     expected = [{"model"}, both, set()]

@@ -110,7 +110,7 @@ def keys_of(
     stages = KeysOfStages(folder=folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(engine_stages, "code_version", version)
-        STUDY.stages(request, stages)
+        STUDY.run_stages(request, stages)
     return stages.keys
 
 
