@@ -228,7 +228,8 @@ GROUPS = {
     ),
     "report": Group(
         modules=modules_of("report", "outcome", "answers"),
-        tests="tests/laws/test_report_answers.py tests/laws/test_report_outcome.py "
+        tests="tests/laws/test_report_rows.py tests/laws/test_report_answer_cases.py "
+        "tests/laws/test_report_answers.py tests/laws/test_report_outcome.py "
         "tests/laws/test_report_first_screen.py",
         planted=10,
     ),

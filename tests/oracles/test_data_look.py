@@ -81,7 +81,8 @@ def test_no_command_is_printed_that_a_run_would_refuse(tmp_path: Path) -> None:
         seen = look(path, **stated)
         assert "- not read yet" in str(seen)
         assert "ssm-study run" not in str(seen)
-    assert "ssm-study run" in str(look(path, input="u"))
+    expected = str(look(path, input="u"))
+    assert "ssm-study run" in expected
 
 
 def test_a_measured_disturbance_is_in_command_and_picture(tmp_path: Path) -> None:
@@ -92,7 +93,9 @@ def test_a_measured_disturbance_is_in_command_and_picture(tmp_path: Path) -> Non
     seen = look(path, disturbance="load")
     assert "measured too" not in str(seen)
     assert seen.command.endswith("data.disturbance=load")
-    assert [axes.get_ylabel() for axes in draw_log(seen).axes] == ["y", "u", "load"]
+    expected = ["y", "u", "load"]
+    actual = [axes.get_ylabel() for axes in draw_log(seen).axes]
+    assert actual == expected
 
 
 def test_an_output_that_never_changes_with_the_input_is_no_integrator() -> None:
@@ -100,7 +103,8 @@ def test_an_output_that_never_changes_with_the_input_is_no_integrator() -> None:
     u[0] = 1.0
     y = np.full(3000, 5.0)
     y[-1] = 5.1
-    assert explained_output_variance(u, y).change == 0.0
+    actual = explained_output_variance(u, y).change
+    assert actual == 0.0
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -132,14 +136,16 @@ def test_the_command_draws_and_prints(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     kind_named("direction").log(0, samples=500).to_csv("my log.csv", index=False)
-    assert main(["look", "my log.csv"]) == 0
+    actual = main(["look", "my log.csv"])
+    assert actual == 0
     printed = capsys.readouterr().out
     assert "data.path=\"'my log.csv'\" data.input=u data.output=y" in printed
     assert (tmp_path / "my log_look.png").stat().st_size > 10_000
     text = Path("my log.csv").read_text().replace(",", ";").replace(".", ",")
     Path("german.txt").write_text(text)
     layout = ["--separator", "semicolons", "--decimal", ",", "--header", "true"]
-    assert main(["look", "german.txt", *layout, "--picture", "seen.png"]) == 0
+    actual = main(["look", "german.txt", *layout, "--picture", "seen.png"])
+    assert actual == 0
     settings = "data.separator=semicolons data.decimal=\"','\" data.header=true"
     assert settings in capsys.readouterr().out
     assert (tmp_path / "seen.png").is_file()
@@ -202,7 +208,8 @@ def test_a_slow_answer_is_seen_in_coarser_steps() -> None:
     y += 0.01 * white_noise
     assert first_response_lag(u, y) is None
     shares = explained_output_variance(u, y)
-    assert "slow" in response_delay_sentence(u, y, shares)
+    expected = response_delay_sentence(u, y, shares)
+    assert "slow" in expected
 
 
 def test_a_column_that_counts_is_no_signal(tmp_path: Path) -> None:
@@ -308,7 +315,8 @@ def test_names_that_terminal_and_font_lack_are_escaped(
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(printed, encoding="latin-1"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert main(["look", str(path), "--picture", str(tmp_path / "log.png")]) == DONE
+        actual = main(["look", str(path), "--picture", str(tmp_path / "log.png")])
+        assert actual == DONE
     sys.stdout.flush()
     assert rb"\u7535\u538b" in printed.getvalue()
 
@@ -358,7 +366,9 @@ def test_a_clock_that_runs_backwards_is_no_signal(tmp_path: Path) -> None:
     table.loc[[200, 201], "time (ms)"] = table.loc[[201, 200], "time (ms)"].to_numpy()
     table.to_csv(path, index=False)
     seen = look(path)
-    assert (seen.input, seen.output) == ("u", "y")
+    expected = ("u", "y")
+    actual = (seen.input, seen.output)
+    assert actual == expected
     assert "runs backwards" in str(seen)
     assert "ssm-study run" not in str(seen)
 
@@ -374,7 +384,8 @@ def test_no_guess_goes_around_a_column_that_cannot_be_used(tmp_path: Path, damag
     seen = look(path)
     assert "no guess: y may be the output" in str(seen)
     assert "ssm-study run" not in str(seen)
-    assert "ssm-study run" in str(look(path, input="u", output="load"))
+    expected = str(look(path, input="u", output="load"))
+    assert "ssm-study run" in expected
 
 
 def test_ends_of_pieces_at_other_values_are_no_rests() -> None:

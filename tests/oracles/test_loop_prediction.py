@@ -130,7 +130,8 @@ def test_a_flat_mismatch_has_the_same_margin_either_way(seed):
     record = recorded(model, taps)
     mismatch = measure_model_error(model, (record,))
     found = predict_margins(model, design.gain_pair, ONES, mismatch)
-    assert found.resolved_margin == pytest.approx(found.mismatch_margin, rel=0.1)
+    expected = pytest.approx(found.mismatch_margin, rel=0.1)
+    assert found.resolved_margin == expected
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -146,7 +147,8 @@ def test_what_pairs_share_changes_no_number(seed):
         pair = riccati_synthesis.design(model, BALLS).gain_pair
         alone = worst_case_loop_gain(model, pair, BALLS, shown)
         shared_measure = worst_case_loop_gain(model, pair, BALLS, shown, shared)
-        assert shared_measure == pytest.approx(alone, rel=1e-9)
+        expected = pytest.approx(alone, rel=1e-9)
+        assert shared_measure == expected
         half = alone / 2
         from_half = worst_case_loop_gain(model, pair, BALLS, shown, shared, stop_value=half)
         assert half <= from_half <= alone * (1 + 1e-9)

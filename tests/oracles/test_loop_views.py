@@ -259,7 +259,8 @@ def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
         pair = motor_design().gain_pair
         margin = predict_margins(model, pair, BALLS, shown).resolved_margin
         assert (margin > 0) == rests
-        assert np.isfinite(shown.largest_recorded_gain) == rests
+        actual = np.isfinite(shown.largest_recorded_gain)
+        assert actual == rests
 
 
 def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and_slow_returns():
@@ -283,7 +284,8 @@ def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and
     for record, share in zip(slow_returns, RETURNS, strict=True):
         input_amplitude = motor().input_amplitude
         expected = share * input_amplitude[0]
-        assert record.u[0, 0] == expected
+        actual = record.u[0, 0]
+        assert actual == expected
         differences = np.diff(record.u[:, 0])
         largest = np.abs(differences).max()
         start = np.abs(record.u[0, 0])
@@ -314,7 +316,9 @@ def test_a_mismatch_is_stored_bit_for_bit(tmp_path: Path):
     )
     for one in (shown, changed_shown):
         write_mismatch(tmp_path, one)
-        assert plain(read_mismatch(tmp_path)) == plain(one)
+        expected = plain(one)
+        actual = plain(read_mismatch(tmp_path))
+        assert actual == expected
 
 
 def plain(content):

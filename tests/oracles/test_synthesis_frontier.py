@@ -210,7 +210,8 @@ def test_the_ratio_limit_by_product_and_by_riccati(
     s = scipy.linalg.solve_discrete_are(ah, bh, 1e-13 * np.eye(5), np.eye(inputs))
     eigenvalues = np.linalg.eigvalsh(bh.T @ s @ bh)
     expected = 1 / np.sqrt(1 + eigenvalues[-1])
-    assert ratio_limit(linear.a, linear.b, contraction) == pytest.approx(expected, rel=1e-3)
+    actual = ratio_limit(linear.a, linear.b, contraction)
+    assert actual == pytest.approx(expected, rel=1e-3)
 
 
 @A_THIRD
@@ -224,10 +225,12 @@ def test_the_frontier_is_where_the_ratio_limit_crosses(
     limit = contraction_frontier(linear.a, linear.b, ball).contraction_limit
     contraction = limit * (1 + 1e-6)
     lower_limit = ratio * (1 - 1e-9)
-    assert ratio_limit(linear.a, linear.b, contraction) >= lower_limit
+    actual = ratio_limit(linear.a, linear.b, contraction)
+    assert actual >= lower_limit
     contraction = limit * (1 - 1e-6)
     upper_limit = ratio * (1 + 1e-9)
-    assert ratio_limit(linear.a, linear.b, contraction) <= upper_limit
+    actual = ratio_limit(linear.a, linear.b, contraction)
+    assert actual <= upper_limit
 
 
 @pytest.mark.parametrize("inputs", [1, 2, 3])
@@ -236,7 +239,8 @@ def test_without_fast_modes_every_ball_is_allowed(inputs: int) -> None:
     rng = np.random.default_rng(0)
     linear = random_model(rng, 5, "stable", mixed=True, inputs=inputs)
     contraction = linear.spectral_radius * 1.01
-    assert ratio_limit(linear.a, linear.b, contraction) == 1.0
+    actual = ratio_limit(linear.a, linear.b, contraction)
+    assert actual == 1.0
     contraction = linear.spectral_radius * 0.99
     assert ratio_limit(linear.a, linear.b, contraction) < 1.0
 
@@ -249,7 +253,8 @@ def test_two_decoupled_inputs_are_two_frontiers() -> None:
         b = np.eye(2)
         ball = JacobianBall(alpha=-2.0, beta=2 * ratio)
         limit = contraction_frontier(a, b, ball).contraction_limit
-        assert limit == pytest.approx(ratio * 0.9, rel=1e-9)
+        expected = pytest.approx(ratio * 0.9, rel=1e-9)
+        assert limit == expected
 
 
 def test_the_scalar_frontier_by_hand() -> None:

@@ -83,7 +83,8 @@ def test_neurons_without_effect_leave_the_tolerance_of_one_layer(weight: np.ndar
     context = VerificationContext(system=linear, controlled=linear, balls=BALLS, gains=gains)
     other = certify_largest_radius(context, weights)
     assert other is not None
-    assert proved.kappa == pytest.approx(other.kappa, rel=2e-4)
+    expected = pytest.approx(other.kappa, rel=2e-4)
+    assert proved.kappa == expected
 
 
 def unknown_rows(*sizes: int) -> list[np.ndarray]:
@@ -118,7 +119,8 @@ def test_a_solver_finds_the_same_gain(seed: int, h: float) -> None:
         sector = output.T @ cp.diag(weights) @ (output - entering)
         form += sector + sector.T
     cp.Problem(cp.Maximize(squared_gain), [form >> 0]).solve(solver="CLARABEL")
-    assert proved.tolerated_gain == pytest.approx(float(np.sqrt(squared_gain.value)), rel=5e-3)
+    expected = pytest.approx(float(np.sqrt(squared_gain.value)), rel=5e-3)
+    assert proved.tolerated_gain == expected
 
 
 @pytest.mark.parametrize(("seed", "h"), [(0, 0.0), (0, 0.3), (2, 0.0)])

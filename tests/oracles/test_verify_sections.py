@@ -26,6 +26,7 @@ from ssm_study.study.design_claims import (
     is_coverage_search_repeated,
     lacks_coverage,
     missing_column_reasons,
+    recompute_coverage_columns,
     stored_number_errors,
     unrepeated_search_reason,
 )
@@ -249,3 +250,43 @@ def test_a_log_that_is_gone_names_what_follows_from_it() -> None:
     expected = {"score_test_1", "fit_train_percent", "evidence", "piece_start", "excitation.mcap"}
     assert expected <= set(listed.reasons)
     assert not {"seed", "rmse_test", "fold"} & set(listed.reasons)
+
+
+@pytest.mark.parametrize("plant", [None, "plant"])
+@pytest.mark.parametrize("feasible", [True, False])
+def test_only_a_log_compares_its_test_record_with_its_coverage(
+    plant: Any, feasible: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def records(name: str) -> SimpleNamespace:
+        return PARTS(records=name, start_up_samples=3)
+
+    run = run_of(
+        record={"record_version": VERSION},
+        design=PARTS(feasible=feasible, gain_pair="pair"),
+        specification=PARTS(plant=plant, simulates_fresh_data=False),
+        model_run=PARTS(model=None, validation=records("validation"), test=records("test")),
+        mismatch_records=("sines",),
+    )
+    place = "ssm_study.study.design_claims"
+    monkeypatch.setattr(f"{place}.measure_model_error", lambda *_: "mismatch")
+    monkeypatch.setattr(f"{place}.measure_error_spectra", lambda *values: values)
+    monkeypatch.setattr(f"{place}.recompute_fresh_data_column", lambda *_: {"fresh": 1})
+    columns = {"coverage": 1.5}
+    compared: list[Any] = []
+
+    def note_spectra(*values: Any) -> dict[str, float]:
+        compared.extend(values[2:])
+        return dict(columns)
+
+    monkeypatch.setattr(f"{place}.coverage_columns", note_spectra)
+    monkeypatch.setattr(f"{place}.withhold_coverage", lambda *_: {"withheld": True})
+    facts = recompute_coverage_columns(run)
+    premise, fresh = compared
+    assert premise == (None, "validation", "mismatch", 3, ("sines",))
+    assert fresh == (None if plant else (None, "test", "mismatch", 3))
+    assert facts == ({"withheld": True} if feasible else columns | {"fresh": 1})
+
+
+def test_an_older_run_s_coverage_is_not_withheld_afterwards() -> None:
+    lacking = versioned(OLD)
+    assert recompute_coverage_columns(lacking) == {}
