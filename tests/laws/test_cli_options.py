@@ -217,7 +217,7 @@ def test_a_signal_needs_what_no_earlier_run_gives() -> None:
 def test_an_earlier_run_s_settings_give_way_to_options(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = PARTS(excitation={"lower": -2.0, "upper": 2.0}, sine_frequencies=(0.1,))
+    run = PARTS(next_excitation_settings={"lower": -2.0, "upper": 2.0}, sine_frequencies=(0.1,))
     note_calls(monkeypatch, "ssm_study.study.run_files.RunFiles", run)
     note_calls(monkeypatch, "ssm_study.table.folders.find_run_folder", tmp_path)
     options = options_of("excite --to f --after r --lower -1")
