@@ -42,7 +42,7 @@ def recorded(plant: Plant, seed: int, folder: Path) -> DataSet:
     ends = {"lower": float(rest.u[0]) - reach, "upper": float(rest.u[0]) + reach}
     u = IdentificationExperiment(
         **ends, rest=middle, step_s=plant.step_s, settle_s=settle_s, seed=seed
-    ).signal()
+    ).input_signal()
     y = plant.simulate(u[None, :, None])[1][0, :, 0]
     y = y + np.sqrt(plant.noise_variance[0]) * np.random.default_rng([seed, 3]).standard_normal(
         len(y)

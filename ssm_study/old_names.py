@@ -98,6 +98,9 @@ NAMES: Mapping[str, str] = {
     "refusal.one_of": "refusal.require_one_of",
     "refusal.positive": "refusal.require_positive",
     "data.excitations.file_signal.OwnSignal": "data.excitations.file_signal.FileSignal",
+    "data.recorded.RecordedAboutEquilibrium": "data.recorded.ScaledRecordedSource",
+    "loop.comparison.Comparison": "loop.comparison.ControllerComparison",
+    "loop.controller.Uncontrolled": "loop.controller.NoControl",
     "loop.design_grid.DesignGrid": "loop.design_grid.RandomDesignTable",
     "loop.peers.peer.Identified": "loop.peers.peer.IdentificationResult",
     "loop.peers.peer.Peer": "loop.peers.peer.ComparisonMethod",
@@ -226,6 +229,7 @@ METHODS: Mapping[str, Mapping[str, str]] = {
     "plants.plant.Plant": {
         "advance": "next_states",
         "pushed_by": "disturbance_effect",
+        "real": "is_physical",
         "states_at": "equilibrium_states",
     },
     "plants.wrapper.PlantWrapper": {

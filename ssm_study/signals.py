@@ -303,9 +303,9 @@ class DataSet:
         remedy = "log longer records, or a shorter dead time"
         require(samples < shortest, "model.dead_time", samples, problem, remedy)
 
-        def shift_outputs(records: Trajectories) -> Trajectories:
-            """Copy of records in which each output is paired with the input that it responds to, a
-            dead time earlier."""
+        def advance_outputs(records: Trajectories) -> Trajectories:
+            """Copy of records in which each output is moved earlier by the dead time, to the sample
+            of the input that causes it."""
             return tuple(
                 replace(one[samples:], u=one.u[: len(one) - samples], first=one.first)
                 for one in records
@@ -313,9 +313,9 @@ class DataSet:
 
         return replace(
             self,
-            training=shift_outputs(self.training),
-            validation=shift_outputs(self.validation),
-            test=shift_outputs(self.test),
+            training=advance_outputs(self.training),
+            validation=advance_outputs(self.validation),
+            test=advance_outputs(self.test),
         )
 
 

@@ -32,7 +32,7 @@ class _Flow:
     """`d/dt (x, 1) = F (x, 1)` in one mode, held input and disturbance."""
 
     def __init__(self, motor: DCMotor, modes: Modes, v_eff: float, load_nm: float) -> None:
-        p = motor.constants
+        p = motor.motor_constants
         f = np.zeros((5, 5))
         coefficients = [-p.resistance, -p.k, 0.0, 0.0, v_eff]
         current_row = np.array(coefficients)
@@ -125,7 +125,7 @@ def _period(
     motor: DCMotor, z: Float[np.ndarray, "5"], v: float, load: float
 ) -> tuple[Float[np.ndarray, "5"], list]:
     """One sampling period; returns the augmented state after it and the switch times within it."""
-    limit = motor.constants.coulomb
+    limit = motor.motor_constants.coulomb
     t = 0.0
     ends: list[float] = []
     stuck = (0, 0)
@@ -165,7 +165,7 @@ def simulate_exactly(
 ) -> ExactRun:
     """`x[k]` for `k = 0 .. T` under voltage `u` and load torque `d`, switch times to 1e-10 s."""
     load = np.zeros_like(u) if d is None else d
-    dead_zone = motor.constants.dead_zone
+    dead_zone = motor.motor_constants.dead_zone
     voltage = u[:, 0]
     size_of_voltage = np.abs(voltage)
     difference = size_of_voltage - dead_zone

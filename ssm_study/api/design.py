@@ -216,7 +216,7 @@ class Design:
         refuse_unknown_maps(self.unknown_maps)
         path = read_path("path", path)
         name = path.stem if self.run_folder is None else ""
-        sources = targets.render_controller(self.folder, real=real, prefix=path.stem, name=name)
+        sources = targets.render_c_sources(self.folder, real=real, prefix=path.stem, name=name)
         for name, text in sources.items():
             (path.parent / name).write_text(text, encoding="utf-8")
         return path
@@ -269,7 +269,7 @@ class Design:
         from ssm_study.api.loops import choose_plant, simulate_loop
         from ssm_study.api.pictures.drawing import draw_picture
         from ssm_study.api.pictures.loop_response import initial_response_picture
-        from ssm_study.loop.controller import Uncontrolled
+        from ssm_study.loop.controller import NoControl
 
         warn_of_unknown_maps(self.unknown_maps)
         on = choose_plant(self, plant)
@@ -278,7 +278,7 @@ class Design:
             outer_product = np.outer(STARTS, scale.output_scale)
             y0 = scale.output_equilibrium + outer_product
         controlled = simulate_loop(self, y0, on)
-        controller = Uncontrolled.for_plant(on)
+        controller = NoControl.for_plant(on)
         uncontrolled = simulate_loop(self, y0, on, controller=controller)
         picture = initial_response_picture(
             controlled, uncontrolled, on, self._recorded_inputs, self._describe_loop_plant(plant)

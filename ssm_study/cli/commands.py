@@ -88,7 +88,7 @@ def write_excitation(options: argparse.Namespace) -> None:
             remedy,
         )
     record = IdentificationExperiment(**{name: settings[name] for name in names})
-    print(record.write(options.to))
+    print(record.write_csv(options.to))
 
 
 def excitation_settings(options: argparse.Namespace) -> dict[str, Any]:

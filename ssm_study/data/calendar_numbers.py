@@ -116,11 +116,11 @@ def describe_day_numbers(title: str, numbers: Times) -> str:
     if not len(rising):
         return ""
     step = float(np.median(rising))
-    are_days = has_at_most_two_digits(DAY_S * step)
-    return MAYBE_DAYS if are_days and not has_at_most_two_digits(step) else ""
+    are_days = has_at_most_two_significant_digits(DAY_S * step)
+    return MAYBE_DAYS if are_days and not has_at_most_two_significant_digits(step) else ""
 
 
-def has_at_most_two_digits(number: float) -> bool:
+def has_at_most_two_significant_digits(number: float) -> bool:
     """Whether a positive number has at most two significant digits, up to rounding."""
     rounded = float(f"{number:.2g}")
     return abs(rounded - number) <= ROUND * number

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ssm_study.data.assembly import Parts
 from ssm_study.data.metrics import SCORES
-from ssm_study.data.recorded import RecordedAboutEquilibrium
+from ssm_study.data.recorded import ScaledRecordedSource
 from ssm_study.data.recording import Recording
 from ssm_study.data.splits import cut_out_fold
 from ssm_study.refusal import BadRequest, require, require_one_of
@@ -27,7 +27,7 @@ DOWNLOADERS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordedExperiments(RecordedAboutEquilibrium):
+class RecordedExperiments(ScaledRecordedSource):
     """Data set whose training, validation and test records are separate recordings, as in public
     benchmarks. Their paths are relative to a folder.
 

@@ -47,7 +47,7 @@ class RecordedSource(ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordedAboutEquilibrium(RecordedSource):
+class ScaledRecordedSource(RecordedSource):
     """Base class of recorded data sources whose signals are scaled as deviations from an
     equilibrium. The equilibrium is "zero", "mean" (of the training samples), or one number per
     channel.
@@ -83,8 +83,8 @@ class RecordedAboutEquilibrium(RecordedSource):
         inputs = np.concatenate([record.u for record in parts[0]])
         outputs = np.concatenate([record.y for record in parts[0]])
         rest = [
-            self._equilibrium("input", inputs, self.input_equilibrium),
-            self._equilibrium("output", outputs, self.output_equilibrium),
+            self._channel_equilibrium("input", inputs, self.input_equilibrium),
+            self._channel_equilibrium("output", outputs, self.output_equilibrium),
         ]
         if len(channels) > len(rest):  # of a disturbance no equilibrium is chosen: its mean
             measured = [record.d for record in parts[0] if record.d is not None]
@@ -93,7 +93,7 @@ class RecordedAboutEquilibrium(RecordedSource):
         about = {"source": "recorded", **about}
         return assemble_dataset(parts, tuple(rest), channels, self.start_up_samples, metadata=about)
 
-    def _equilibrium(
+    def _channel_equilibrium(
         self, side: str, values: Float[np.ndarray, "T c"], stated: list[float] | None
     ) -> Float[np.ndarray, "c"]:
         """Equilibrium of the inputs or outputs: a stated value, zero, or the mean of the training
@@ -109,7 +109,7 @@ class RecordedAboutEquilibrium(RecordedSource):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordedData(ColumnSettings, RecordedAboutEquilibrium):
+class RecordedData(ColumnSettings, ScaledRecordedSource):
     """Data set from recorded logs of one plant, each of which is cut into training, validation and
     test.
 
@@ -137,7 +137,7 @@ class RecordedData(ColumnSettings, RecordedAboutEquilibrium):
 
     def __post_init__(self) -> None:
         ColumnSettings.__post_init__(self)
-        RecordedAboutEquilibrium.__post_init__(self)
+        ScaledRecordedSource.__post_init__(self)
         self._check_fractions()
         self._check_split_settings()
         self._check_closed_loop()

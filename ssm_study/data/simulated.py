@@ -131,7 +131,7 @@ class SimulatedData:
                 trials = simulate_mismatch_records(plant, rng, self.noise_deviation(plant))
             yield FreshRecords(validation=tuple(validation), mismatch_records=trials)
 
-    def simulate_sensitive_sines(
+    def simulate_sine_experiments(
         self, plant: Plant, seed: int, frequency_indices: Sequence[int]
     ) -> tuple[Trajectory, ...]:
         """Simulate single-sine experiments at the frequencies at which a controller design is most

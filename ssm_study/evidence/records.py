@@ -203,7 +203,7 @@ def _length_sentences(case: EvidenceCase) -> Iterator[str]:
     elif max(samples) < RESPONSES * response:
         remedy = "record longer without a break"
         # It contracts, so an integrator looks like a slow mode.
-        if isinstance(case.model, StructuredSSM) and not follows_input_level(case.data):
+        if isinstance(case.model, StructuredSSM) and not output_follows_input_level(case.data):
             remedy += "; if the output integrates its input, use model.integrating_output=true"
         yield (
             f"The model's response lasts {response} samples or more, the longest piece that "
@@ -236,8 +236,8 @@ def model_integrates(case: EvidenceCase) -> bool:
     return case.model.linear.spectral_radius >= 1 - ROUNDING
 
 
-def follows_input_level(data: DataSet) -> bool:
-    """Whether the output in a log follows the level of its input, which rules out an integrating
+def output_follows_input_level(data: DataSet) -> bool:
+    """Whether the output in a log follows the level of the input, which rules out an integrating
     plant."""
     stretches = join_records_without_gaps(data)
     if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:

@@ -51,7 +51,7 @@ def write_controller(
     "double" or "float", whose names begin with `prefix`, and the other files of
     docs/howto_export.md. Raises `BadRequest` for a run without controller, an unknown `real`, or
     when `to` is a file."""
-    sources = render_controller(run, real=real, prefix=prefix)
+    sources = render_c_sources(run, real=real, prefix=prefix)
     require(not to.exists() or to.is_dir(), "to", to, "is a file", "name a folder")
     to.mkdir(parents=True, exist_ok=True)
     controller = load_controller(run)
@@ -68,7 +68,7 @@ def write_controller(
     return sorted(contents)
 
 
-def render_controller(
+def render_c_sources(
     run: Path, *, real: str = "double", prefix: str = "controller", name: str = ""
 ) -> dict[str, str]:
     """Names and texts of the C files of a run's controller. Raises `BadRequest` as

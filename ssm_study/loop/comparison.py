@@ -30,9 +30,9 @@ Case = tuple[Plant, LoopExperiment]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison(ComparisonTable):
-    """Settings of a table that compares controllers under several test conditions. It has one row
-    for each controller in each situation.
+class ControllerComparison(ComparisonTable):
+    """Settings of a table that compares controllers under several test conditions, such as noise
+    and input saturation. It has one row for each controller in each situation.
 
     It is explained in docs/closed_loop.md, "Robustness".
 

@@ -82,8 +82,8 @@ class Controller(ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Uncontrolled(Controller):
-    """Control law that always applies the equilibrium input, as a baseline for other control
+class NoControl(Controller):
+    """Control law that always applies the equilibrium input, for comparison with other control
     laws."""
 
     u: Float[np.ndarray, "m"]
@@ -91,7 +91,7 @@ class Uncontrolled(Controller):
     dimensions: tuple[int, int]
 
     @classmethod
-    def for_plant(cls, plant: Plant) -> "Uncontrolled":
+    def for_plant(cls, plant: Plant) -> "NoControl":
         """Control law that always applies a plant's equilibrium input."""
         rest = plant.equilibrium()
         input_count = len(plant.inputs)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from ssm_study.loop.controller import ObserverFeedback, Uncontrolled
+from ssm_study.loop.controller import NoControl, ObserverFeedback
 from ssm_study.loop.metrics import mean_without_none
 from ssm_study.loop.motion import classify_motions, settling_times_s
 from ssm_study.loop.peers.peer import IdentificationResult, Row
@@ -156,7 +156,7 @@ def _behaviour_columns(
     noises = np.tile(noise, repeated_noise)
     run = loop.simulate(plant, controller, starts, noises)
     no_noise = np.zeros_like(noises)
-    no_control = Uncontrolled.for_plant(plant)
+    no_control = NoControl.for_plant(plant)
     quiet = loop.simulate(plant, controller, starts, no_noise)
     uncontrolled = loop.simulate(plant, no_control, y0, noise)
     open_loop_s = mean_without_none(settling_times_s(uncontrolled, band))

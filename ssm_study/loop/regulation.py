@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.certificates.certificate import Design
-from ssm_study.loop.controller import Controller, ObserverFeedback, Uncontrolled
+from ssm_study.loop.controller import Controller, NoControl, ObserverFeedback
 from ssm_study.loop.motion import settling_times_s
 from ssm_study.loop.peers.peer import IdentificationResult, Row
 from ssm_study.loop.reference import EquilibriumReference, Reference
@@ -285,7 +285,7 @@ class LoopExperiment:
             is_settled = None not in times_s
             if not is_settled and self._noise_exceeds_band(plant, controller, noise):
                 noise_free = quiet
-        uncontrolled = self.simulate(plant, Uncontrolled.for_plant(plant), y0, noise)
+        uncontrolled = self.simulate(plant, NoControl.for_plant(plant), y0, noise)
         return LoopRuns(
             controlled=controlled,
             uncontrolled=uncontrolled,

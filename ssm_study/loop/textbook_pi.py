@@ -22,7 +22,7 @@ def textbook_pi_columns(
     a log, a device (which is not run again), several inputs or outputs, and where the rule has no
     answer.
     """
-    if plant is None or plant.real:
+    if plant is None or plant.is_physical:
         return {}
     try:
         controller = tyreus_luyben_pi(replace_neurons_by_slopes(model))

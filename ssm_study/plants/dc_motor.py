@@ -102,7 +102,7 @@ class DCMotor(Plant):
         require(step_s <= electrical_s, "solver_step_s", step_s, problem, "shorten it")
 
     @cached_property
-    def constants(self) -> MotorConstants:
+    def motor_constants(self) -> MotorConstants:
         """Physical constants of the motor in the form that the compiled simulation takes."""
         return MotorConstants(
             resistance=float(self.resistance_ohm),
@@ -134,7 +134,7 @@ class DCMotor(Plant):
         substep_s = self.step_s / substeps
         # Contiguous: for every other layout of the three numba would compile the kernel once more.
         arrays = [np.ascontiguousarray(array) for array in (x, u, d)]
-        return advance_batch(self.constants, *arrays, substep_s, substeps)
+        return advance_batch(self.motor_constants, *arrays, substep_s, substeps)
 
     def output(self, x: States) -> Outputs:
         return x[:, 2:3]

@@ -88,8 +88,8 @@ class Plant(ABC):
         return (0.0,) * len(self.outputs)
 
     @property
-    def real(self) -> bool:
-        """Whether the plant is a physical device instead of a simulation.
+    def is_physical(self) -> bool:
+        """Whether the plant is a physical device and not a simulation.
 
         A device runs one case at a time, from where it is, and never again to check a record.
         """

@@ -40,7 +40,7 @@ class PlantWrapper(Plant):
     input_amplitude = _wrapped_plant_property("input_amplitude")
     input_clock_s = _wrapped_plant_property("input_clock_s")
     noise_variance = _wrapped_plant_property("noise_variance")
-    real = _wrapped_plant_property("real")
+    is_physical = _wrapped_plant_property("is_physical")
     stop = _wrapped_plant_property("stop")
 
     @property

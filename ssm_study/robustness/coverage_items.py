@@ -100,7 +100,7 @@ class PeriodicErrorPower:
             has_lines=has_lines,
         )
 
-    def mismatch_power(
+    def error_power_at_lines(
         self, lines: LineSelection, *, is_doubtful: bool, is_unexcited: bool = False
     ) -> float:
         """Power of the model error over several spectral lines, with noise subtracted where the
@@ -127,7 +127,7 @@ class PeriodicErrorPower:
         """Inequality that a disc must satisfy to contain the model error at several spectral lines
         together."""
         record = self.record
-        measured_power = self.mismatch_power(
+        measured_power = self.error_power_at_lines(
             lines, is_doubtful=is_doubtful, is_unexcited=is_unexcited
         )
         model_power = record.sides * record.model_power

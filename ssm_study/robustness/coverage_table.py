@@ -17,7 +17,7 @@ from ssm_study.robustness.coverage_items import DiscRequirement
 
 
 @dataclass(frozen=True, kw_only=True)
-class CoverageBand:
+class CoverageRow:
     """Row of a table: recorded and proved size of the model error in one frequency band of one
     record. The disc is around `c m`.
 
@@ -40,7 +40,7 @@ class CoverageBand:
 
 def coverage_table(
     premise: ModelErrorSpectra, weights: DiscWeights, centre: float, kappa: float
-) -> list[CoverageBand]:
+) -> list[CoverageRow]:
     """Table rows, one for each frequency band of a record, with the disc radius that contains the
     measured model error and the radius that the certificate proves.
 
@@ -64,7 +64,7 @@ def _band_row(
     needed_radius: float,
     *,
     is_deciding: bool,
-) -> CoverageBand:
+) -> CoverageRow:
     """Table row with the recorded and the proved size of the model error in one frequency band."""
     model_power = float(requirement.model_power.sum())
     measured = None
@@ -73,7 +73,7 @@ def _band_row(
         measured = float(np.sqrt(requirement.seen / model_power))
         reference_power = weights.reference_power(requirement)
         proved_radius = kappa * float(np.sqrt(reference_power / model_power))
-    return CoverageBand(
+    return CoverageRow(
         record=requirement.record,
         frequency=float(requirement.angles.mean()),
         measured=measured,

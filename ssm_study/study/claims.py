@@ -257,7 +257,7 @@ def check_loops(run: RunFiles) -> Claims:
         "closed_loop_model.mcap": (stored.on_model, on_model)
     }
     measured = stored
-    if run.plant.real:
+    if run.plant.is_physical:
         reason = "recorded on a device, which is not run again"
         yield UncheckedValues({"closed_loop.mcap output, states": reason})
     else:

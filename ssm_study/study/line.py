@@ -163,7 +163,7 @@ class StudyTask(Task["Specification"]):
         loop = request.loop
         plant = ("plant",) if request.plant else ()
         loop_inputs = request.stage_settings("loop", "loop_seed", *plant)
-        if request.plant is not None and not request.plant.real:
+        if request.plant is not None and not request.plant.is_physical:
             stages.run_stage(TEXTBOOK_PI, *loop_inputs, model_run)
         mismatch = stages.run_stage(MISMATCH, {}, {}, data, model_run)
         judgement = stages.run_stage(EVIDENCE, {}, {}, data, model_run, mismatch)

@@ -95,7 +95,7 @@ def loop_place_label(plant: Plant | None) -> str:
     model."""
     if plant is None:
         return "identified model"
-    return "device" if plant.real else "plant"
+    return "device" if plant.is_physical else "plant"
 
 
 def write_loop_recordings(

@@ -87,7 +87,7 @@ class RunFiles:
             self.data  # noqa: B018  # read once, and kept
         except (BadRequest, OSError) as error:
             plant = self.specification.plant
-            if plant is not None and not plant.real:
+            if plant is not None and not plant.is_physical:
                 raise
             return f"the recorded data cannot be read: {error_text(error)}"
         return ""
@@ -105,7 +105,7 @@ class RunFiles:
         """Simulate the data set of a run again, or read its logs again, with the closed-loop trials
         of its refinement. Raises `BadRequest` for a real device."""
         spec = self.specification
-        real = getattr(self.specification.plant, "real", False)
+        real = getattr(self.specification.plant, "is_physical", False)
         problem = "is a device, and a device cannot be simulated again"
         require(not real, "plant", type(spec.plant).__name__, problem, "keep its records")
         source: Any = spec.data

@@ -127,7 +127,7 @@ class Specification:
         has_one_case = loop.initial_conditions == 1 and not self.data.trials
         problem = "a device runs one case, from where it is"
         remedy = "use loop.initial_conditions=1 +data.trials=false"
-        fits = not self.plant.real or has_one_case
+        fits = not self.plant.is_physical or has_one_case
         require(fits, "plant", type(self.plant).__name__, problem, remedy)
         counts = {
             "data.trajectories * samples": self.data.trajectories * self.data.samples,
@@ -204,14 +204,14 @@ class Specification:
         """Whether the controller is tested with single-sine inputs; only a simulated plant allows
         this test."""
         simulated = isinstance(self.data, SimulatedData) and self.data.trials
-        return simulated and self.plant is not None and not self.plant.real
+        return simulated and self.plant is not None and not self.plant.is_physical
 
     @property
     def simulates_fresh_data(self) -> bool:
         """Whether further data sets of the plant are simulated, to test the model on independent
         data."""
         simulated = isinstance(self.data, SimulatedData) and self.data.fresh_sets > 0
-        return simulated and self.plant is not None and not self.plant.real
+        return simulated and self.plant is not None and not self.plant.is_physical
 
 
 def input_files(settings: Mapping[str, Any]) -> list[Path]:

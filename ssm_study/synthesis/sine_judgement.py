@@ -65,7 +65,7 @@ def measure_error_with_simulated_sines(
     from ssm_study.data.simulated import PERIOD
 
     lines = spectral_lines_to_test(design, model, balls, mismatch, PERIOD, only_peaks=only_peaks)
-    records = data.simulate_sensitive_sines(plant, seed, lines)
+    records = data.simulate_sine_experiments(plant, seed, lines)
     return measure_errors_at_sines(model, records, mismatch, PERIOD)
 
 

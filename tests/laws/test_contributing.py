@@ -35,7 +35,7 @@ import numpy as np
 import pytest
 from loop_cases import BALLS, motor, motor_model, motor_record
 from ssm_study.data.readers.reader import read_table
-from ssm_study.loop.comparison import Comparison
+from ssm_study.loop.comparison import ControllerComparison
 from ssm_study.loop.regulation import LoopExperiment
 from ssm_study.loop.peers.peer import IdentificationResult
 from ssm_study.refusal import BadRequest
@@ -50,7 +50,7 @@ def {FOUND}(tmp_path):
         read_table(path, wanted)
     known = IdentificationResult(model=motor_model(), balls=BALLS, validation=(motor_record(),))
     loop = LoopExperiment(initial_conditions=2, horizon_s=0.5)
-    (row,) = Comparison(controllers=("proportional",)).rows(motor(), known, loop, 0)
+    (row,) = ControllerComparison(controllers=("proportional",)).rows(motor(), known, loop, 0)
     assert row["controller"] == "proportional" and row["initial_conditions"] == 2, row
 """
 

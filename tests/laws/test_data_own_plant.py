@@ -47,7 +47,7 @@ def test_the_signal(
     limits = {"lower": lower, "upper": upper, "rest": rest}
     times = {"step_s": step_s, "settle_s": settle_s}
     record = IdentificationExperiment(**limits, **times, seed=seed)
-    u = record.signal()
+    u = record.input_signal()
     smallest = u.min()
     assert lower <= smallest < u.max() <= upper
     last_samples = u[-2 * samples :]
@@ -110,7 +110,7 @@ def log_of(folder: Path, *more: float) -> DataSet:
     added_levels = np.repeat(more, 10)
     rest_samples = 60 * bool(more)
     added_rest = np.full(rest_samples, 1.0)
-    u = np.concatenate([own.signal(), added_levels, added_rest])
+    u = np.concatenate([own.input_signal(), added_levels, added_rest])
     deviation = u - 1
     filtered_signal = scipy.signal.lfilter([0, 0.2], [1, -0.8], deviation)
     rng = np.random.default_rng(0)
@@ -146,7 +146,7 @@ def log_with_sines(folder: Path, hidden: float) -> DataSet:
     """The log of a lag behind a filter of gain `1 + hidden` at the first of two frequencies, driven
     by the record with sines at both."""
     own = IdentificationExperiment(**SIGNAL, **TIMES, sines=HIDDEN)
-    u = own.signal()
+    u = own.input_signal()
     moved = u - 1
     frequency = HIDDEN[0] / np.pi
     resonant = scipy.signal.iirpeak(frequency, 30)

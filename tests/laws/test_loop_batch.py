@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from loop_cases import motor, motor_design, motor_model, random_model
 
-from ssm_study.loop.controller import ObserverFeedback, Uncontrolled
+from ssm_study.loop.controller import NoControl, ObserverFeedback
 from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment
@@ -208,7 +208,7 @@ def test_a_case_that_starts_beyond_the_bound_shows_its_start_and_no_input():
     disturbance = np.zeros(noise_shape)
     signals = {"reference": reference, "noise": noise, "disturbance": disturbance}
     bound = np.full(1, 10.0)
-    uncontrolled = Uncontrolled.for_plant(plant)
+    uncontrolled = NoControl.for_plant(plant)
     run = simulate_closed_loop(plant, uncontrolled, initial_states=x0, bound=bound, **signals)
     expected = [0, STAYED]
     assert run.left_at_sample.tolist() == expected

@@ -372,8 +372,8 @@ def test_an_output_that_follows_its_input_is_not_told_to_integrate():
     u = np.repeat(RNG.uniform(-1, 1, 30), 40)
     noise = 0.01 * RNG.standard_normal(1200)
     level = blocks(u, u + noise, [720, 960])
-    assert records.follows_input_level(level)
-    assert not records.follows_input_level(short_log(1.0).data)
+    assert records.output_follows_input_level(level)
+    assert not records.output_follows_input_level(short_log(1.0).data)
 
 
 @pytest.mark.parametrize("seed", range(6))

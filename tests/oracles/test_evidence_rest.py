@@ -88,7 +88,7 @@ def test_a_record_that_ends_before_the_answer_does_says_nothing():
 
 
 EXCITED_RECORD = IdentificationExperiment(lower=-1.2, upper=1.0, rest=0.1, step_s=0.1, settle_s=4.5)
-EXCITED = EXCITED_RECORD.signal()
+EXCITED = EXCITED_RECORD.input_signal()
 UNKNOWN = "whether the output rests by itself is unknown"
 
 

@@ -19,7 +19,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.cli.main import main
 from ssm_study.export.c import escape_comment, render_c_files
 from ssm_study.export.device import DeviceController
-from ssm_study.export.targets import load_controller, prove_deployed_rates, render_controller
+from ssm_study.export.targets import load_controller, prove_deployed_rates, render_c_sources
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.trajectory import set_point_equilibria
 from ssm_study.models.identified import SSM
@@ -255,7 +255,7 @@ def test_a_rate_that_rounding_costs_is_the_largest_that_is_left(certified: Path)
 def test_what_rounding_does_to_the_loop_is_measured_and_told(certified: Path) -> None:
     """In single precision a few of its units; in double nothing is said."""
     reals = ("float", "double")
-    single, double = (render_controller(certified, real=real)["controller.h"] for real in reals)
+    single, double = (render_c_sources(certified, real=real)["controller.h"] for real in reals)
     assert "Rounding to" not in double
     (told,) = re.findall(
         r"Rounding to float moves the loop on the model by at most (\S+) output scales", single

@@ -22,7 +22,7 @@ from ssm_study.export.targets import (
     find_input_limits,
     load_controller,
     prove_deployed_rates,
-    render_controller,
+    render_c_sources,
     write_controller,
 )
 from ssm_study.loop.controller import ObserverFeedback
@@ -196,7 +196,7 @@ def test_with_neurons_the_header_says_what_is_proved_and_how_set_points_are_foun
     tmp_path: Path,
 ) -> None:
     run = write_recordings(structured_run(tmp_path / "run", ("tanh",), 0.0))
-    header = render_controller(run, prefix="drive")["drive.h"]
+    header = render_c_sources(run, prefix="drive")["drive.h"]
     assert "Within the limits nothing is proved: the theorems on them know no neurons." in header
     assert "Set points lie on lines between stored rest points: missed by at most" in header
     assert "drive_track(&state, y, r, u);" in header

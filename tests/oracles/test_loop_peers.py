@@ -8,7 +8,7 @@ import scipy.linalg
 from loop_cases import BALLS, motor, motor_design, motor_model, motor_record, random_model
 from structured_cases import model as with_neurons
 
-from ssm_study.loop.comparison import SITUATIONS, Comparison
+from ssm_study.loop.comparison import SITUATIONS, ControllerComparison
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.design_grid import RandomDesignTable
 from ssm_study.loop.metrics import behaviour_columns
@@ -190,7 +190,7 @@ def test_a_design_grid_without_a_choice_of_auto_has_the_designs_alone(monkeypatc
 
 def test_every_controller_has_a_row_in_every_situation():
     names = ("uncontrolled", "pi", "lqg", "guaranteed_cost")
-    table = Comparison(
+    table = ControllerComparison(
         controllers=names, situations=SITUATIONS, spread_fields=("resistance_ohm",), spread_plants=2
     )
     rows = table.rows(motor(), KNOWN, SHORT, seed=0)
@@ -207,7 +207,7 @@ def test_every_controller_has_a_row_in_every_situation():
 
 def test_the_spread_fills_its_range():
     spread_fields = ("resistance_ohm", "coulomb_torque_nm")
-    table = Comparison(spread_fields=spread_fields, spread_plants=10)
+    table = ControllerComparison(spread_fields=spread_fields, spread_plants=10)
     plants = table.perturbed_plants(motor(), seed=0)
     for name in table.spread_fields:
         drawn_values = np.array([getattr(p, name) for p in plants])
@@ -223,7 +223,7 @@ def test_the_plants_own_pi_is_a_row_of_its_own():
     rule = tyreus_luyben_pi(KNOWN.model)
     plant = motor()
     same, other = (
-        Comparison(controllers=("pi",), own_pi=(times * rule.gain, rule.integral_s)).rows(
+        ControllerComparison(controllers=("pi",), own_pi=(times * rule.gain, rule.integral_s)).rows(
             plant, KNOWN, SHORT, seed=0
         )
         for times in (1, 0.5)
@@ -249,7 +249,7 @@ class Undisturbed(PlantWrapper):
 def test_a_plant_without_disturbance_has_no_load_rows():
     plant = Undisturbed(plant=motor())
     situations = ("nominal", "load_step", "load_periodic", "spread")
-    table = Comparison(controllers=("lqg",), situations=situations)
+    table = ControllerComparison(controllers=("lqg",), situations=situations)
     rows = table.rows(plant, KNOWN, SHORT, seed=0)
     situations = [row["situation"] for row in rows]
     assert situations == ["nominal"]
@@ -278,10 +278,10 @@ REFUSED_COMPARISONS = [
 @pytest.mark.parametrize(("values", "names"), REFUSED_COMPARISONS)
 def test_values_out_of_range(values, names):
     with pytest.raises(BadRequest, match=names):
-        Comparison(**values)
+        ControllerComparison(**values)
 
 
 def test_a_field_the_plant_does_not_have():
-    comparison = Comparison(spread_fields=("colour",))
+    comparison = ControllerComparison(spread_fields=("colour",))
     with pytest.raises(BadRequest, match="spread_fields"):
         comparison.perturbed_plants(motor(), seed=0)

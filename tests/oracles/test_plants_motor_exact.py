@@ -65,7 +65,7 @@ def test_the_configured_step_is_accurate_with_disturbances(motor: DCMotor, seed:
 def test_the_exact_motor_agrees_with_a_general_solver_between_switches(motor: DCMotor) -> None:
     """Third route: scipy integrates the slipping motor, no friction code shared."""
     frictionless = replace(motor, coulomb_torque_nm=0.0)
-    p = frictionless.constants
+    p = frictionless.motor_constants
 
     def rate(_: float, x: np.ndarray, v: float) -> np.ndarray:
         current, motor_speed, load_speed, twist = x

@@ -234,7 +234,7 @@ def test_a_log_is_found_from_another_folder(
 class Rig(PlantWrapper):
     """A device, for `verify` alone."""
 
-    real = True  # type: ignore[assignment]
+    is_physical = True  # type: ignore[assignment]
 
 
 def test_of_a_device_the_loop_on_the_model_is_made_again(copied_run: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 from loop_cases import motor, motor_design, motor_model, random_model
 
 from ssm_study.certificates.certificate import Design
-from ssm_study.loop.comparison import Comparison
+from ssm_study.loop.comparison import ControllerComparison
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour_columns
 from ssm_study.loop.reference import FileReference, StepReference
@@ -197,6 +197,6 @@ def test_a_horizon_shorter_than_a_sample_has_two() -> None:
 
 def test_a_withdrawn_controller_is_refused_with_the_line_of_the_changelog():
     with pytest.raises(BadRequest, match=r"MPC was withdrawn in 0\.2 \(CHANGELOG\.md"):
-        Comparison(controllers=("mpc",))
+        ControllerComparison(controllers=("mpc",))
     with pytest.raises(BadRequest, match="not known"):
-        Comparison(controllers=("no such controller",))
+        ControllerComparison(controllers=("no such controller",))

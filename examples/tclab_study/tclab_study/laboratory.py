@@ -74,7 +74,7 @@ class TemperatureLab(Plant):
         )
 
     @property
-    def real(self) -> bool:
+    def is_physical(self) -> bool:
         return self.hardware
 
     def stop(self) -> None:

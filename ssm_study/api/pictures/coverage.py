@@ -20,7 +20,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.robustness.coverage import ModelErrorSpectra
 from ssm_study.robustness.coverage_spectra import AveragedSpectrum, MismatchSpectrum
-from ssm_study.robustness.coverage_table import CoverageBand, coverage_table
+from ssm_study.robustness.coverage_table import CoverageRow, coverage_table
 from ssm_study.synthesis.measured_discs_run import disc_weights
 
 AMPLITUDE = re.compile(r"input of rms \S+")
@@ -102,7 +102,7 @@ def smallest_coverage_record_text(requirement: str, labels: dict[str, str], step
 
 
 def _coverage_curves(
-    rows: list[CoverageBand], kappa: float, step_s: float, labels: dict[str, str]
+    rows: list[CoverageRow], kappa: float, step_s: float, labels: dict[str, str]
 ) -> list[Series]:
     """Curves of the coverage (tolerated over measured model error) by frequency band, one for each
     record."""
@@ -120,7 +120,7 @@ def _coverage_curves(
 
 
 def _record_coverage_curve(
-    rows: list[CoverageBand], kappa: float, step_s: float, name: str, look: dict[str, Any]
+    rows: list[CoverageRow], kappa: float, step_s: float, name: str, look: dict[str, Any]
 ) -> list[Series]:
     """Curve of the coverage (tolerated over measured model error) of one record by frequency
     band."""
@@ -147,7 +147,7 @@ def _record_coverage_curve(
     return [lit, series]
 
 
-def _smallest_coverage_dot(band: CoverageBand, kappa: float, step_s: float) -> Series:
+def _smallest_coverage_dot(band: CoverageRow, kappa: float, step_s: float) -> Series:
     """Dot at the frequency band with the smallest ratio of tolerated to measured model error."""
     turn_s = 2 * np.pi * step_s
     hertz = band.frequency / turn_s

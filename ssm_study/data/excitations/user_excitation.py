@@ -58,7 +58,7 @@ class IdentificationExperiment:
         )
         require(enough, "settle_s", self.settle_s, problem, "sample faster: a smaller --step-s")
 
-    def signal(self) -> Float[np.ndarray, "T"]:
+    def input_signal(self) -> Float[np.ndarray, "T"]:
         """Generate the input signal of an identification experiment on the user's plant, one value
         per sampling period."""
         settling = round(self.settle_s / self.step_s)
@@ -90,10 +90,10 @@ class IdentificationExperiment:
         wave = reach * np.sin(2 * np.pi * np.arange(cycle) / cycle)
         return self.rest + np.tile(wave, 3 * cycles)  # the same bits in every cycle
 
-    def write(self, path: Path) -> str:
+    def write_csv(self, path: Path) -> str:
         """Write the input signal of an identification experiment to a CSV file, and return a
         sentence that describes it."""
-        u = self.signal()
+        u = self.input_signal()
         time_s = np.arange(len(u)) * self.step_s
         table = pd.DataFrame({"time_s": time_s, "input": u})
         table.to_csv(path, index=False)

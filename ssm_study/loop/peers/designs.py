@@ -3,7 +3,7 @@ paper's inequalities, guaranteed cost, and ours."""
 
 # ruff: noqa: ARG002 - every peer gets all arguments; these need less
 from ssm_study.certificates.certificate import Design
-from ssm_study.loop.controller import Uncontrolled
+from ssm_study.loop.controller import NoControl
 from ssm_study.loop.peers.peer import ComparisonMethod, IdentificationResult
 from ssm_study.plants.plant import Plant
 from ssm_study.synthesis.auto import Auto
@@ -16,9 +16,9 @@ class UncontrolledMethod(ComparisonMethod, names=("uncontrolled",)):
 
     def build_controller(
         self, plant: Plant, identified: IdentificationResult, rate: float
-    ) -> Uncontrolled:
+    ) -> NoControl:
         """Control law that always applies the equilibrium input."""
-        return Uncontrolled.for_plant(plant)
+        return NoControl.for_plant(plant)
 
 
 class PaperLmiMethod(ComparisonMethod, names=("paper_lmi",)):
