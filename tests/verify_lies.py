@@ -19,7 +19,7 @@ from ssm_study.models.metrics import Simulation, fit_columns
 from ssm_study.models.warm_start import PAST, choose_initial_state_source, initial_state_columns
 from ssm_study.refusal import BadRequest
 from ssm_study.study.loop_recordings import read_loop_recordings
-from ssm_study.study.recordings import read_free_runs, states_to_text
+from ssm_study.study.recordings import initial_states_to_text, read_free_runs
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import verify
 from ssm_study.synthesis.deployed import initial_output_range
@@ -254,7 +254,7 @@ def lie_about_start(run: Path) -> None:
             replace(group, values=next(signals)) if group.topic.endswith("/simulated") else group
             for group in groups
         ]
-        about = dict(about) | {"start_states": states_to_text(forged)}
+        about = dict(about) | {"start_states": initial_states_to_text(forged)}
         write_mcap(run / f"{split}.mcap", tuple(forged_groups), about)
         fitted.append(made)
     fits = fit_columns(*fitted)

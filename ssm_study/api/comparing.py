@@ -133,7 +133,7 @@ def named_models(models: Any) -> dict[str, Model]:
         require(is_model, "models", kind, "is no model", remedy)
     if isinstance(models, Mapping):
         return {str(name): model for name, model in models.items()}
-    return _name_models(models)
+    return _name_models_by_kind(models)
 
 
 def compare_simulations(
@@ -179,7 +179,7 @@ def compare_simulations(
     )
 
 
-def _name_models(models: Sequence[Model]) -> dict[str, Model]:
+def _name_models_by_kind(models: Sequence[Model]) -> dict[str, Model]:
     """Name models by their kind, such as `ssm`, numbered if several models are of the same kind."""
     kinds = [kind_of_model(model) for model in models]
     names = []

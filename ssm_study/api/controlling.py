@@ -222,8 +222,8 @@ def _design_for_system(
     inner = jacobian_ball_of_slopes("slopes", input_slopes)
     slopes_of_output = IDENTITY if output_slopes is None else output_slopes
     outer = jacobian_ball_of_slopes("output_slopes", slopes_of_output)
-    inward = _linear_map(inner, model.scale.inputs)
-    outward = _linear_map(outer, model.scale.outputs)
+    inward = _mean_slope_map(inner, model.scale.inputs)
+    outward = _mean_slope_map(outer, model.scale.outputs)
     model = replace(model, scaffold_in=inward, scaffold_out=outward)
     balls = certified_balls(model)
     if inner.beta:
@@ -236,7 +236,7 @@ def _design_for_system(
     return Design(certificate=certificate, model=model, overrides=overrides)
 
 
-def _linear_map(ball: JacobianBall, channels: int) -> LinearScaffold:
+def _mean_slope_map(ball: JacobianBall, channels: int) -> LinearScaffold:
     """Linear static map whose gain is the middle of a range of slopes. Pictures are drawn with
     it."""
     gain = ball.alpha * np.eye(channels)

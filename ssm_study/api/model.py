@@ -333,11 +333,11 @@ class Model:
 def draw_or_refuse(name: str, make_picture: Callable[[], "Picture"]) -> Any:
     """Draw a picture, or raise `BadRequest` with the reason where the picture would be empty."""
     from ssm_study.api.pictures.drawing import draw_picture
-    from ssm_study.api.pictures.picture import NothingToShow
+    from ssm_study.api.pictures.picture import EmptyPictureError
 
     try:
         picture = make_picture()
-    except NothingToShow as reason:
+    except EmptyPictureError as reason:
         remedy = "look at the other pictures"
         problem = str(reason).rstrip(".")
         raise BadRequest(name, "there is no picture", problem, remedy) from reason

@@ -106,7 +106,7 @@ def excitation_settings(options: argparse.Namespace) -> dict[str, Any]:
     return settings | given_options
 
 
-def gather_study(options: argparse.Namespace) -> None:
+def gather_study_table(options: argparse.Namespace) -> None:
     """Build the table of a study again from the records of its runs."""
     from ssm_study.table.doubts import row_count_warnings
     from ssm_study.table.gather import gather
@@ -249,9 +249,9 @@ def confirm_overwriting(folder: Path) -> bool:
 
 def export_recordings(options: argparse.Namespace) -> None:
     """Write the closed-loop recordings of all runs of a study into one file and print its name."""
-    from ssm_study.table.one_recording import export_mcap
+    from ssm_study.table.one_recording import export_closed_loop_recordings
 
-    print(export_mcap(options.study))
+    print(export_closed_loop_recordings(options.study))
 
 
 def export_to_mlflow(options: argparse.Namespace) -> None:
@@ -262,7 +262,7 @@ def export_to_mlflow(options: argparse.Namespace) -> None:
     print(f"{count} runs written")
 
 
-def report_study(options: argparse.Namespace) -> None:
+def write_study_report(options: argparse.Namespace) -> None:
     """Write the report page of a study and draw its figures."""
     from ssm_study.report.figures import draw_figures
     from ssm_study.report.page.writing import write_page
@@ -306,7 +306,7 @@ def announce_drawing() -> None:
         print("drawing the figures, which takes up to a minute", file=sys.stderr, flush=True)
 
 
-def watch_study(options: argparse.Namespace) -> None:
+def serve_study_page(options: argparse.Namespace) -> None:
     """Serve the report page of a study on a local port until the command is stopped."""
     from ssm_study.report.page.live import start_server
 

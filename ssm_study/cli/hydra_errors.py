@@ -41,13 +41,13 @@ def explain_hydra_error(error: BaseException, overrides: list[str], folder: Path
         remedy = (
             suggest_package(key, at, overrides)
             if at
-            else suggest_for_key(key, overrides, folder) or ASK
+            else suggest_key(key, overrides, folder) or ASK
         )
     elif match := re.search(r"Key '([^']+)' is not in struct", message):  # of a sweep
         full_key = re.search(r"full_key: (\S+)", str(error))
         key = full_key[1] if full_key is not None else match[1]
         problem = f"Could not override '{key}'"
-        remedy = suggest_for_key(key, overrides, folder) or ASK
+        remedy = suggest_key(key, overrides, folder) or ASK
     else:
         problem = message
         remedy = ASK
@@ -110,7 +110,7 @@ def refuse_misspelt_option(word: str) -> None:
         raise BadRequest("request", word, "there is no such option", remedy)
 
 
-def suggest_for_key(key: str, overrides: list[str], folder: Path) -> str:
+def suggest_key(key: str, overrides: list[str], folder: Path) -> str:
     """Suggestion for a configuration key that does not exist, such as a similar key. It names the
     choice that has the key, else the nearest keys or group; it is empty where nothing is near."""
     if owners := choices_with_key(key, folder):

@@ -198,7 +198,9 @@ def add_mlflow_options(command: argparse.ArgumentParser) -> None:
 
 ACTIONS = {
     "gather": FolderCommand(
-        commands.gather_study, "study", "(re)build runs.parquet and runs.csv of a study folder"
+        commands.gather_study_table,
+        "study",
+        "(re)build runs.parquet and runs.csv of a study folder",
     ),
     "show": FolderCommand(
         commands.show_study_or_run,
@@ -230,13 +232,13 @@ ACTIONS = {
         add_export_options,
     ),
     "report": FolderCommand(
-        commands.report_study,
+        commands.write_study_report,
         "study",
         "draw the figures of a study into its folder and write its page, report.html",
         add_report_options,
     ),
     "watch": FolderCommand(
-        commands.watch_study,
+        commands.serve_study_page,
         "study",
         "serve the report page on a local port while a sweep runs; it reloads itself",
         add_watch_options,

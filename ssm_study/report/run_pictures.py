@@ -10,7 +10,7 @@ from ssm_study.api.pictures.input_map import input_map_picture
 from ssm_study.api.pictures.loop_response import set_point_picture
 from ssm_study.api.pictures.margin import InputScale, margin_picture, physical_input_scale
 from ssm_study.api.pictures.nyquist import nyquist_picture
-from ssm_study.api.pictures.picture import NothingToShow, Picture
+from ssm_study.api.pictures.picture import EmptyPictureError, Picture
 from ssm_study.api.pictures.poles import poles_picture
 from ssm_study.api.pictures.residual_correlation import residual_correlation_picture
 from ssm_study.bounds.slopes import certified_balls
@@ -36,7 +36,7 @@ def picture_of_run(name: str, run: RunFolder) -> Picture:
     reason where the picture would be empty."""
     try:
         return PICTURES[name](run)
-    except NothingToShow as reason:
+    except EmptyPictureError as reason:
         raise NothingToDraw(str(reason)) from reason
 
 

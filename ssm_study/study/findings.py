@@ -69,6 +69,6 @@ def check_agreement(
 
 def check_unknown_entries(run: RunFiles, file: str, read: Any) -> CheckedClaim:
     """Check that a file of a run contains no entries that the program would ignore."""
-    extra = find_unknown_entries(run.read_stored_object(file), read.to_json())
+    extra = find_unknown_entries(run.read_json_object(file), read.to_json())
     observation = f"unknown: {', '.join(extra)}" if extra else "known"
     return CheckedClaim(claim=f"{file} entries", holds=not extra, found=observation)

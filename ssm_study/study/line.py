@@ -227,7 +227,7 @@ class StudyTask(Task["Specification"]):
         configuration = request.configuration
         model = configuration["model"]
         values = {column.name: value_at_path(configuration, column.setting) for column in SETTINGS}
-        numbers = {name: value for name, value in values.items() if is_number_or_none(value)}
+        numbers = {name: value for name, value in values.items() if is_number_bool_or_none(value)}
         model_kind = model.get("cell")  # gru and lstm share a class
         return numbers | {
             "model": model_kind or (class_name_of_part(model) or "").removesuffix("spec"),
@@ -289,13 +289,13 @@ def undeclared_number_columns(configuration: Mapping[str, Any], keys: Iterable[s
     facts: Facts = {}
     for path in sorted(path for path in paths if "." in path):
         value = value_at_path(configuration, path)
-        if not is_number_or_none(value):
+        if not is_number_bool_or_none(value):
             value = class_name_of_part(value) or str(value)
         facts[path.replace(".", "__")] = value
     return facts
 
 
-def is_number_or_none(value: Any) -> bool:
+def is_number_bool_or_none(value: Any) -> bool:
     """Whether a value of a configuration is a number, a truth value or null."""
     return isinstance(value, int | float | None)
 

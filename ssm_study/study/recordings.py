@@ -53,7 +53,7 @@ class RecordedCases:
             prefix, _, name = group.topic.rpartition("/")
             cases[prefix][name] = group
         # By number, not by text: case 10 comes after case 9.
-        prefixes = sorted(cases, key=_case_number)
+        prefixes = sorted(cases, key=_trailing_number)
         return cls(path=path, cases={name: cases[name] for name in prefixes}, about=about)
 
     def signals(self, name: str) -> list[SignalGroup]:
@@ -130,7 +130,7 @@ class RecordedCases:
         return tuple(records)
 
 
-def _case_number(prefix: str) -> int:
+def _trailing_number(prefix: str) -> int:
     """Number at the end of the name of a recorded simulation or measurement; 0 if there is none."""
     number = NUMBER_AT_END.search(prefix)
     return int(number[0]) if number else 0
@@ -195,7 +195,7 @@ def read_free_runs(path: Path) -> Simulation:
     recording = RecordedCases.from_file(path)
     simulated = tuple(signal.values for signal in recording.signals("simulated"))
     start_up_samples = int(recording.about["start_up_samples"])
-    states = states_from_text(recording.about.get("start_states", ""), len(simulated))
+    states = initial_states_from_text(recording.about.get("start_states", ""), len(simulated))
     return Simulation(
         records=recording.records,
         simulated=simulated,
@@ -204,13 +204,13 @@ def read_free_runs(path: Path) -> Simulation:
     )
 
 
-def states_to_text(states: Sequence[Any]) -> str:
+def initial_states_to_text(states: Sequence[Any]) -> str:
     """Write the initial states of several records as a JSON text. Null stands for a record whose
     initial state is estimated from its first samples."""
     return json.dumps([None if state is None else np.asarray(state).tolist() for state in states])
 
 
-def states_from_text(text: str, records: int) -> tuple[Any, ...]:
+def initial_states_from_text(text: str, records: int) -> tuple[Any, ...]:
     """Read the initial states of several records from a JSON text. An empty text gives None for
     each record.
 

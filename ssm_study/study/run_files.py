@@ -151,7 +151,7 @@ class RunFiles:
         did not have to state them."""
         return self.record_version < VERSION and not any(name in self.record for name in columns)
 
-    def read_stored_object(self, name: str) -> dict[str, Any]:
+    def read_json_object(self, name: str) -> dict[str, Any]:
         """Read the JSON object in a file of the run. Raises `BadRequest` for a file that repeats a
         key."""
         as_object = partial(refuse_repeated_keys, name)
@@ -164,7 +164,7 @@ class RunFiles:
     @cached_property
     def certificate(self) -> dict[str, Any]:
         """Content of the file `certificate.json` of a run."""
-        return self.read_stored_object("certificate.json")
+        return self.read_json_object("certificate.json")
 
     @cached_property
     def design(self) -> Design:

@@ -73,7 +73,7 @@ class Specification:
             **parts,
             seed=settings.seed,
             loop_seed=settings.loop_seed,
-            refine=_check_refine_setting(settings.get("refine"), is_recorded),
+            refine=_read_refine_setting(settings.get("refine"), is_recorded),
             progress=bool(settings.progress),
             configuration=settings,
         )
@@ -232,7 +232,7 @@ def input_files(settings: Mapping[str, Any]) -> list[Path]:
     return sorted(files)
 
 
-def _check_refine_setting(requested: Any, is_recorded: bool) -> int | list[str] | None:
+def _read_refine_setting(requested: Any, is_recorded: bool) -> int | list[str] | None:
     """Check the setting `refine`, and return it: a list of trial logs, or a number of
     iterations."""
     if is_recorded and requested is not None:

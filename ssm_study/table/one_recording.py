@@ -15,7 +15,7 @@ LOOP = "closed_loop.mcap"
 MOST = 200  # runs: a player lists every topic, and each run has ten cases
 
 
-def export_mcap(study: Path) -> Path:
+def export_closed_loop_recordings(study: Path) -> Path:
     """Write the recordings of all runs of a study into one file, `closed_loops.mcap`.
 
     The topics of a run lie below `/run_` and the run's digits: those after the last dash of its

@@ -299,7 +299,7 @@ def test_a_page_is_opened_and_figures_drawn_where_they_are_asked_for(
     drawn = note_calls(monkeypatch, "ssm_study.report.figures.draw_figures", [])
     opened = note_calls(monkeypatch, "ssm_study.cli.commands.open_page")
     options = options_of(f"report {tmp_path} --open")
-    commands.report_study(options)
+    commands.write_study_report(options)
     expected = [(tmp_path / "p",)]
     assert opened == expected
     first = drawn[0]
@@ -307,19 +307,19 @@ def test_a_page_is_opened_and_figures_drawn_where_they_are_asked_for(
     expected = {"width": "page"}
     assert first[-1] == expected
     options = options_of(f"report {tmp_path} other --width column")
-    commands.report_study(options)
+    commands.write_study_report(options)
     expected = (tmp_path, (Path("other"),))
     assert pages[-1] == expected
     assert len(drawn) == 1, "of several studies there are no figures"
     assert len(opened) == 1
     options = options_of(f"report {tmp_path} --width column")
-    commands.report_study(options)
+    commands.write_study_report(options)
     second = drawn[1]
     assert second[0] == commands.PAPER_FIGURES
     expected = {"width": "column"}
     assert second[-1] == expected
     options = options_of(f"report {tmp_path} --only closed_loop")
-    commands.report_study(options)
+    commands.write_study_report(options)
     assert len(pages) == 3
     third = drawn[2]
     assert third[0] == ["closed_loop"]

@@ -45,7 +45,7 @@ def study(tmp_path: Path) -> Path:
 
 
 def test_every_signal_of_every_run_is_read_back_under_its_run(study: Path) -> None:
-    path = one_recording.export_mcap(study)
+    path = one_recording.export_closed_loop_recordings(study)
     groups, about = read_mcap(path)
     expected = {f"run_{name[-10:]}": name for name in RUNS}
     assert about == expected
@@ -64,7 +64,7 @@ def test_every_signal_of_every_run_is_read_back_under_its_run(study: Path) -> No
 def test_runs_whose_names_end_alike_are_all_there(study: Path) -> None:
     for name, short in zip(RUNS, ("a-1", "b-1"), strict=True):
         (study / name).rename(study / short)
-    path = one_recording.export_mcap(study)
+    path = one_recording.export_closed_loop_recordings(study)
     groups, about = read_mcap(path)
     expected = {"run_a-1": "a-1", "run_b-1": "b-1"}
     assert about == expected
@@ -76,12 +76,12 @@ def test_refusals(
     study: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(BadRequest, match="no run closed a loop"):
-        one_recording.export_mcap(tmp_path_factory.mktemp("empty"))
+        one_recording.export_closed_loop_recordings(tmp_path_factory.mktemp("empty"))
     monkeypatch.setattr(one_recording, "MOST", 1)
     with pytest.raises(BadRequest, match="2 runs are more than 1"):
-        one_recording.export_mcap(study)
+        one_recording.export_closed_loop_recordings(study)
     recording = next(study.glob(f"*/{one_recording.LOOP}"))
     recording.write_bytes(recording.read_bytes()[:200])
     monkeypatch.setattr(one_recording, "MOST", 2)
     with pytest.raises(BadRequest, match="not a complete MCAP recording"):
-        one_recording.export_mcap(study)
+        one_recording.export_closed_loop_recordings(study)

@@ -12,7 +12,7 @@ from ssm_study.api.pictures.free_run import free_run_picture
 from ssm_study.api.pictures.input_map import input_map_picture
 from ssm_study.api.pictures.margin import margin_picture
 from ssm_study.api.pictures.nyquist import nyquist_picture, plant_and_controller_responses
-from ssm_study.api.pictures.picture import NothingToShow
+from ssm_study.api.pictures.picture import EmptyPictureError
 from ssm_study.bounds.frequency import frequency_response
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.robustness.bands import ANGLES
@@ -82,7 +82,7 @@ def test_a_margin_that_no_curve_reaches_is_shown_as_a_line_of_its_own() -> None:
 def test_without_a_measured_error_there_is_no_margin_to_draw() -> None:
     model, gains = model_and_gains()
     curves = margin_curves(model, gains, certified_balls(model), mismatch_of(0.0))
-    with pytest.raises(NothingToShow, match="no model error"):
+    with pytest.raises(EmptyPictureError, match="no model error"):
         margin_picture(curves, STEP_S)
 
 
@@ -91,7 +91,7 @@ def test_an_unstable_slope_has_no_frequency_to_blame() -> None:
     k = 1e4 * gains.k
     wild = replace(gains, k=k)
     curves = margin_curves(model, wild, certified_balls(model), mismatch_of(0.3))
-    with pytest.raises(NothingToShow, match="unstable"):
+    with pytest.raises(EmptyPictureError, match="unstable"):
         margin_picture(curves, STEP_S)
 
 
@@ -140,10 +140,10 @@ def test_several_channels_have_no_nyquist_curve_and_no_input_map() -> None:
     model = random_model(rng, "linear", 2)
     design = random_design(rng, model, False)
     gains = design.gain_pair
-    with pytest.raises(NothingToShow, match="one input"):
+    with pytest.raises(EmptyPictureError, match="one input"):
         nyquist_picture(model, gains, None)
     slopes = certified_balls(model).input
-    with pytest.raises(NothingToShow, match="several inputs"):
+    with pytest.raises(EmptyPictureError, match="several inputs"):
         input_map_picture(model, slopes, "u")
 
 

@@ -16,7 +16,7 @@ from ssm_study.cli.hydra_errors import (
     refuse_misspelt_option,
     similar_settings,
     suggest_choice,
-    suggest_for_key,
+    suggest_key,
     suggest_package,
 )
 from ssm_study.cli.request import compose_request, quote_sines, translate_arguments
@@ -120,9 +120,9 @@ def test_choices_that_have_a_key_are_named(tmp_path: Path) -> None:
     assert actual == expected
     assert choices_with_key("model.width", folder) == []
     assert choices_with_key("order", folder) == []
-    one = suggest_for_key("model.nested.depth", [], folder)
+    one = suggest_key("model.nested.depth", [], folder)
     assert one == "model=small has it: add model=small"
-    two = suggest_for_key("model.order", [], folder)
+    two = suggest_key("model.order", [], folder)
     assert two == "model=large and model=small have it: add model=large"
 
 
@@ -166,7 +166,7 @@ def few_keys(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("few_keys")
 @pytest.mark.parametrize(("key", "suggestion"), NEAR.items())
 def test_a_key_is_answered_with_what_is_near(key: str, suggestion: str) -> None:
-    actual = suggest_for_key(key, [], configuration_folder())
+    actual = suggest_key(key, [], configuration_folder())
     assert actual == suggestion
 
 

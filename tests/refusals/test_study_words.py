@@ -11,7 +11,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf
 
 from ssm_study.cli.from_python import compose_configuration
-from ssm_study.cli.hydra_errors import suggest_for_key
+from ssm_study.cli.hydra_errors import suggest_key
 from ssm_study.cli.main import INTERRUPTED, main
 from ssm_study.cli.run import _warning_text, configuration_folder
 from ssm_study.data.metrics import UnidentifiableSlopesWarning
@@ -44,7 +44,7 @@ def test_a_refused_study_leaves_nothing_where_it_points(
 
 
 def test_what_was_meant_is_found_beside_a_swept_choice() -> None:
-    assert suggest_for_key(
+    assert suggest_key(
         "synthesis.rate_controler", ["synthesis=lmi,riccati"], configuration_folder()
     ).endswith("controller?")
 

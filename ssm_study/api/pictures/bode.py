@@ -88,8 +88,8 @@ def _estimated_dots(
 
 
 def input_map_gain_ratio(model: Model, record: Trajectory) -> float | None:
-    """Gain of the input map in a record, divided by the slope of the map at rest. None if this
-    ratio is near one, or for several inputs.
+    """Gain of the input map in a record, divided by the slope of the map at the equilibrium. None
+    if this ratio is near one, or for several inputs.
 
     The gain of a static map that a cross spectrum shows is `E[S(u) u] / E[u^2]`, exactly so for
     Gaussian inputs. Source: Bussgang 1952.

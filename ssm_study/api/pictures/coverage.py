@@ -10,8 +10,8 @@ from ssm_study import style
 from ssm_study.api.pictures.margin import InputScale, amplitude_text
 from ssm_study.api.pictures.picture import (
     DASH_CYCLE,
+    EmptyPictureError,
     GuideLine,
-    NothingToShow,
     Picture,
     PicturePanel,
     Series,
@@ -36,19 +36,19 @@ def coverage_picture(
 
     Bands in which the record shows no error are left out; crosses are bands without excitation,
     where noise counts as error. With `input_scale`, amplitudes are printed in physical units.
-    Raises `NothingToShow` without a certificate or a premise.
+    Raises `EmptyPictureError` without a certificate or a premise.
     """
     part = design.extra_certificates.get(MeasuredDiscs.part)
     if not isinstance(part, MeasuredDiscs):
-        raise NothingToShow("No proof speaks of the model error of these gains.")
+        raise EmptyPictureError("No proof speaks of the model error of these gains.")
     missing = premise.insufficient_records_reason(part.centre)
     if missing is not None:
-        raise NothingToShow(f"Nothing is covered: {missing}.")
+        raise EmptyPictureError(f"Nothing is covered: {missing}.")
     weights = disc_weights(part)
     table = coverage_table(premise, weights, part.centre, part.kappa)
     rows = [row for row in table if row.need]
     if not rows:
-        raise NothingToShow("The records show no model error in any band.")
+        raise EmptyPictureError("The records show no model error in any band.")
     labels = printed_record_names(premise, input_scale)
     series = _coverage_curves(rows, part.kappa, step_s, labels)
     requirements = premise.requirements(part.centre)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ssm_study import style
-from ssm_study.api.pictures.picture import Band, NothingToShow, Picture, PicturePanel, Series
+from ssm_study.api.pictures.picture import Band, EmptyPictureError, Picture, PicturePanel, Series
 from ssm_study.models.structured import Model
 from ssm_study.systems import JacobianBall
 
@@ -17,10 +17,10 @@ def input_map_picture(model: Model, slopes: JacobianBall, input_label: str) -> P
     """Picture of the learned static map of one input and of its slope, with the certified interval
     of slopes.
 
-    Raises `NothingToShow` for several inputs.
+    Raises `EmptyPictureError` for several inputs.
     """
     if model.scaffold_in.inputs != 1:
-        raise NothingToShow("The input map has several inputs: there is no curve to draw.")
+        raise EmptyPictureError("The input map has several inputs: there is no curve to draw.")
     scaled = np.linspace(-REACH_IN_SCALES, REACH_IN_SCALES, POINTS)
     input_equilibrium = model.scale.input_equilibrium
     input_scale = model.scale.input_scale

@@ -11,8 +11,8 @@ from ssm_study import style
 from ssm_study.api.pictures.picture import (
     DASHED,
     Band,
+    EmptyPictureError,
     GuideLine,
-    NothingToShow,
     Picture,
     PicturePanel,
     Series,
@@ -77,7 +77,7 @@ def set_point_picture(
     """Picture of the closed loop's response to a step of the set point, without noise.
 
     `size` in the output's unit; without it the largest share of the output's scale in `SIZES` that
-    an input within the limits of `loop` holds. Raises `NothingToShow` where none does.
+    an input within the limits of `loop` holds. Raises `EmptyPictureError` where none does.
     """
     controller = ObserverFeedback.from_design(model, design)
     output_scale = model.scale.output_scale
@@ -91,7 +91,7 @@ def set_point_picture(
             reason = f"No step of the set point can be held: {refusal}"
             continue
         return _step_picture(run, plant, recorded_inputs, loop_place, candidate)
-    raise NothingToShow(reason)
+    raise EmptyPictureError(reason)
 
 
 def _simulate_step_response(
@@ -188,7 +188,7 @@ def _drawn_time_range(run: Rollouts, settling_time_s: float | None) -> tuple[flo
 
 
 def _first_input_change_s(run: Rollouts) -> float:
-    """Time in seconds at which the input first moves in a step response. It is before the step
+    """Time in seconds at which the input first changes in a step response. It is before the step
     where a trajectory is planned, since the step is then known in advance
     (`loop.trajectory.reference_tracking_trajectory`)."""
     motion = run.u[0] - run.u[0, :1]

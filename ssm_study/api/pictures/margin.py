@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float
 from ssm_study import style
 from ssm_study.api.pictures.picture import (
     DASH_CYCLE,
+    EmptyPictureError,
     GuideLine,
-    NothingToShow,
     Picture,
     PicturePanel,
     Series,
@@ -33,13 +33,13 @@ def margin_picture(
 
     `margin` is the design's own: where it lies below every curve, a mixture of amplitudes or an
     offset decides it, and a dashed line shows it. With `input_scale`, amplitudes are printed in
-    physical units. Raises `NothingToShow` without a curve.
+    physical units. Raises `EmptyPictureError` without a curve.
     """
     drawn = [curve for curve in curves if np.isfinite(curve.smallest)]
     if not curves:
-        raise NothingToShow("A loop of constant slopes is unstable: the margin is zero.")
+        raise EmptyPictureError("A loop of constant slopes is unstable: the margin is zero.")
     if not drawn:
-        raise NothingToShow("The records show no model error beyond their noise.")
+        raise EmptyPictureError("The records show no model error beyond their noise.")
     turn_s = 2 * np.pi * step_s
     hertz = FINE_ANGLES / turn_s
     least = min(drawn, key=lambda curve: curve.smallest)

@@ -7,7 +7,7 @@ from jaxtyping import Complex, Float
 
 from ssm_study import style
 from ssm_study.api.pictures.drawing import circle_points
-from ssm_study.api.pictures.picture import DASHED, NothingToShow, Picture, PicturePanel, Series
+from ssm_study.api.pictures.picture import DASHED, EmptyPictureError, Picture, PicturePanel, Series
 from ssm_study.bounds.frequency import frequency_response
 from ssm_study.models.structured import Model, linearise_at_equilibrium
 from ssm_study.robustness.bands import ANGLES
@@ -27,11 +27,11 @@ def nyquist_picture(model: Model, gains: Gains, mismatch: Mismatch | None) -> Pi
     The plant at one amplitude is `P (1 + Q)` up to a gain `g_r` from input to output, so the curve
     is `L (1 + Q)` and its discs have the radius `|C| g_r`: the loop is stable at these slopes if
     the curve does not wind around -1 and no disc holds it. The amplitude drawn is the one whose
-    discs come nearest. Raises `NothingToShow` for several inputs or outputs.
+    discs come nearest. Raises `EmptyPictureError` for several inputs or outputs.
     """
     inputs = model.scale.inputs
     if inputs != 1 or model.scale.outputs != 1:
-        raise NothingToShow("A Nyquist curve is drawn for one input and one output.")
+        raise EmptyPictureError("A Nyquist curve is drawn for one input and one output.")
     plant, controller = plant_and_controller_responses(model, gains, FINE_ANGLES)
     loop = -plant * controller
     model_curve = _visible_curve(loop, "model", style.BLUE)

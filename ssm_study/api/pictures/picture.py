@@ -83,5 +83,5 @@ class Picture:
     wide: bool = False
 
 
-class NothingToShow(Exception):
+class EmptyPictureError(Exception):
     """Error raised where a picture would be empty, with the reason in one sentence."""

@@ -28,8 +28,8 @@ def draw(study: StudyFolder) -> Figure:
     model, certificate = study.read_from_best("model", "certificate", otherwise=reason)
     fig = style.new_figure(style.PAGE_IN, 2.3)
     control, observe = fig.subplots(1, 2)
-    feedback = certificate_of_side(certificate, "state_feedback")
-    observer = certificate_of_side(certificate, "observer")
+    feedback = certificate_with_largest_rate(certificate, "state_feedback")
+    observer = certificate_with_largest_rate(certificate, "observer")
     if "k" in feedback:
         a, b, k, p = (np.array(feedback[name]) for name in ("a", "b", "k", "p"))
         metric = np.linalg.inv(p)  # the dual form: M = P^-1
@@ -45,7 +45,7 @@ def draw(study: StudyFolder) -> Figure:
     return fig
 
 
-def certificate_of_side(certificate: Mapping[str, Any], side: str) -> dict[str, Any]:
+def certificate_with_largest_rate(certificate: Mapping[str, Any], side: str) -> dict[str, Any]:
     """Stored certificate of a controller or observer, with its largest proved rate."""
     designed = certificate.get(side) or {}
     deployed = certificate.get(f"{side}_deployed") or {}

@@ -22,7 +22,7 @@ BAR: dict[str, Any] = {"color": style.VERMILLION, "lw": 1.6, "zorder": 4}
 
 
 @dataclass(frozen=True, kw_only=True)
-class PeerPanel:
+class ControllerPanel:
     """Panel of a figure that shows one result of each compared controller, with the settings of its
     axis."""
 
@@ -42,7 +42,7 @@ def draw(study: StudyFolder) -> Figure:
     else:
         table = study.table
         method = text_column(table, "synthesis_method")
-    panels = create_peer_panels(table, study.units)
+    panels = create_controller_panels(table, study.units)
     numbers = pd.concat([panel.values for panel in panels], axis=1)
     is_measured = numbers.notna().any(axis=1)
     has_value = method.ne("") & is_measured
@@ -70,29 +70,29 @@ def draw(study: StudyFolder) -> Figure:
     return fig
 
 
-def create_peer_panels(table: pd.DataFrame, units: Units = NO_UNITS) -> list[PeerPanel]:
+def create_controller_panels(table: pd.DataFrame, units: Units = NO_UNITS) -> list[ControllerPanel]:
     """Panels of a figure that compares controllers: fraction of settled loops, relative settling
     time, peak input."""
-    share = create_peer_panel(table, "stable_fraction", (-0.05, 1.05))
-    peak = create_peer_panel(table, "input_peak_v", (0.0, None))
+    share = create_controller_panel(table, "stable_fraction", (-0.05, 1.05))
+    peak = create_controller_panel(table, "input_peak_v", (0.0, None))
     time_s = numeric_column(table, "settling_time_mean_s")
     open_loop_s = numeric_column(table, "settling_time_open_loop_s")
     ratio = time_s / open_loop_s
     ratio = ratio.where(ratio > 0)  # without: starts that were at rest
     logarithmic = {"xscale": "log"} if ratio.notna().any() else {}
     label = "Settling time / uncontrolled (–)"
-    relative_time = PeerPanel(values=ratio, label=label, scale=logarithmic)
+    relative_time = ControllerPanel(values=ratio, label=label, scale=logarithmic)
     peak = replace(peak, label=units.replace_words_by_units(peak.label))
     return [share, relative_time, peak]
 
 
-def create_peer_panel(
+def create_controller_panel(
     table: pd.DataFrame, name: str, limits: tuple[float, float | None]
-) -> PeerPanel:
+) -> ControllerPanel:
     """Panel of a figure that compares controllers by one column of the comparison table."""
     values = numeric_column(table, name)
     label = printed_column_name(name)
-    return PeerPanel(values=values, label=label, scale={"xlim": limits})
+    return ControllerPanel(values=values, label=label, scale={"xlim": limits})
 
 
 def draw_controller_row(axes: Axes, row: int, values: pd.Series) -> None:

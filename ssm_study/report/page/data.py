@@ -129,7 +129,7 @@ def slider_settings(table: pd.DataFrame) -> dict[str, Any] | None:
         if name == "seed" or not pd.api.types.is_numeric_dtype(table[name]):
             continue
         others = [other for other in settings if other != name]
-        numbers = requested_numbers(table[runs_like_the_best(table, others)], name)
+        numbers = requested_numbers(table[has_settings_of_best_run(table, others)], name)
         if len(numbers) > 1:
             title = printed_column_name(name).partition(" (")[0]
             runs = numbers.index.tolist()
@@ -160,7 +160,7 @@ def slider_note(record: dict[str, Any], name: str, shared_settings: str) -> str:
     return f"infeasible at this {noun}{shared_settings}: {reason}"
 
 
-def runs_like_the_best(table: pd.DataFrame, settings: list[str]) -> "pd.Series[bool]":
+def has_settings_of_best_run(table: pd.DataFrame, settings: list[str]) -> "pd.Series[bool]":
     """For each run, whether given settings have the same values as in the best run."""
     alike = pd.Series(True, index=table.index)
     for name in settings:

@@ -57,7 +57,7 @@ def write_page(study_folder: Path, other_studies: tuple[Path, ...] = ()) -> Path
         **page_texts(study, table, unplotted_answers(table, answered)),
         style=files["page.css"],
         data=text,
-        library=_charting_library(),
+        library=_read_charting_library(),
         script="\n".join(files[name] for name in SCRIPTS),
     )
     path = study_folder / (
@@ -72,7 +72,7 @@ def read_asset(name: str) -> str:
     return (ASSETS / name).read_text(encoding="utf-8")
 
 
-def _charting_library() -> str:
+def _read_charting_library() -> str:
     """Read the JavaScript of Vega, Vega-Lite and vega-embed from the installed Python package."""
     import altair
     import vl_convert

@@ -9,7 +9,7 @@ from ssm_study.engine.stages import Facts, Stage
 from ssm_study.models.metrics import Simulation, fit_columns
 from ssm_study.models.warm_start import initial_state_columns, simulate_validation_and_test
 from ssm_study.signals import DataSet
-from ssm_study.study.recordings import read_free_runs, states_to_text, write_records
+from ssm_study.study.recordings import initial_states_to_text, read_free_runs, write_records
 from ssm_study.study.stages.files import write_json
 from ssm_study.study.stages.model import TrainedModel, read_model
 from ssm_study.training.metrics import records_fit_percent
@@ -57,7 +57,7 @@ def compute_free_runs(
     for name, run in (("validation", validation), ("test", test)):
         about: dict[str, Any] = {"start_up_samples": str(data.start_up_samples)}
         if any(state is not None for state in run.starts):
-            about["start_states"] = states_to_text(run.starts)
+            about["start_states"] = initial_states_to_text(run.starts)
         path = folder / f"{name}.mcap"
         write_records(path, data, run.records, simulated=run.simulated, **about)
 

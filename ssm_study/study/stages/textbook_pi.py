@@ -29,7 +29,8 @@ def read_textbook_pi(folder: Path) -> Facts:
 
 
 def textbook_pi_result_columns(facts: Facts, *_: Any) -> Facts:
-    """Table columns of the textbook PI controller, as they are stored."""
+    """Table columns with the results of the textbook PI controller, which are stored in this
+    form."""
     return facts
 
 
