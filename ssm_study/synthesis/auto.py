@@ -111,8 +111,8 @@ class Auto:
         """Grid of contraction rates and cost weights at which candidate gains of controller and
         observer are computed. A controller or observer without its own rate takes `rate`."""
         return CandidateGrid(
-            rate_controller=self._side_or_common_rate(self.rate_controller),
-            rate_observer=self._side_or_common_rate(self.rate_observer),
+            rate_controller=self._own_or_common_rate(self.rate_controller),
+            rate_observer=self._own_or_common_rate(self.rate_observer),
             stretch_shares=self.stretch_shares,
             observer_rates=self.observer_rates,
             input_weights=self.input_weights,
@@ -121,7 +121,7 @@ class Auto:
             internal_model_signals=self.internal_model_signals,
         )
 
-    def _side_or_common_rate(self, requested_rate: float | str) -> float | str:
+    def _own_or_common_rate(self, requested_rate: float | str) -> float | str:
         """Contraction rate set for the controller or the observer alone, or the common rate if that
         setting is `auto`."""
         return self.rate if requested_rate == "auto" else requested_rate

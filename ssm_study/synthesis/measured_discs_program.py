@@ -289,7 +289,7 @@ class FrequencyProgram:
         `least_goal`, it is returned in place of the optimum.
         """
         count = len(self.constant)
-        chosen = list(first_angles) or _spread_indices(count, FIRST)
+        chosen = list(first_angles) or _evenly_spread_indices(count, FIRST)
         solver_accuracy = SOLVED if accuracy > SOLVED else VIOLATED
         x = np.zeros(len(goal))
         for _ in range(ROUNDS):
@@ -310,7 +310,7 @@ class FrequencyProgram:
         return x, chosen
 
 
-def _spread_indices(item_count: int, chosen_count: int) -> list[int]:
+def _evenly_spread_indices(item_count: int, chosen_count: int) -> list[int]:
     """Indices of a given number of list items that are spread evenly over the list."""
     places = np.linspace(0, item_count - 1, chosen_count).round()
     return [int(place) for place in np.unique(places)]

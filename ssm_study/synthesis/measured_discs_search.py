@@ -173,7 +173,7 @@ def _reference_form_at(grid: FormsAtAngles, weights: DiscWeights) -> Any:
     return on_model * grid.model + on_input * grid.input
 
 
-def _program_in_box(
+def _box_constrained_program(
     constant: Any, linear: Any, scale: Unknowns, upper_bounds: Unknowns
 ) -> FrequencyProgram:
     """Optimisation problem with one matrix constraint per grid frequency and scaled unknowns
@@ -196,7 +196,7 @@ def _program_at_fixed_weights(
     scale = form_norms(linear)
     most = np.full(len(scale), MOST)
     most[0] = LARGEST * scale[0]
-    program = _program_in_box(grid.centred[centre], linear, scale, most)
+    program = _box_constrained_program(grid.centred[centre], linear, scale, most)
     return program, scale
 
 
@@ -222,7 +222,7 @@ def _maximise_margin(
     scale = form_norms(linear)
     unknowns = len(scale)
     most = np.full(unknowns, FARTHEST)
-    program = _program_in_box(constant, linear, scale, most)
+    program = _box_constrained_program(constant, linear, scale, most)
     goal = np.zeros(unknowns)
     goal[-1] = 1.0
     x, _ = program.maximise(goal, ROUGH, first_angles=first_angles)
