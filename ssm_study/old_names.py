@@ -203,7 +203,7 @@ METHODS: Mapping[str, Mapping[str, str]] = {
         "take": "run_stage",
     },
     "data.excitations.excitation.SignalRequest": {"clock_samples": "clock_period_samples"},
-    "data.readers.reader.Reader": {"contents": "read_all_columns"},
+    "data.readers.reader.Reader": {"contents": "read_all_columns", "read": "read_columns"},
     "data.recorded.RecordedSource": {"files": "data_files"},
     "robustness.mismatch.Mismatch": {
         "band": "scaled_settling_band",

@@ -76,7 +76,7 @@ class Rehearsal(RecordedSource):
         recording: Recording = replace(self.experiments.training[0], decimate=1, **changes)
         return replace(
             recording, path=str(find_record_file(self.experiments.records_folder(), recording.path))
-        ).read()
+        ).read_experiment()
 
     def _rehearsed(self, servo: Servo, fine: Trajectory, every: int, k: int) -> Trajectory:
         reference = self._build_record(output=self.reference).y[:, 0]

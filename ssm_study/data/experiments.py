@@ -147,5 +147,5 @@ def _read_recordings(folder: Path, recordings: list[Recording]) -> list[Trajecto
         path = find_record_file(folder, recording.path)
         path_text = str(path)
         recording_in_folder = replace(recording, path=path_text)
-        records.append(recording_in_folder.read())
+        records.append(recording_in_folder.read_experiment())
     return records

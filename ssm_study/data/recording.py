@@ -367,8 +367,8 @@ class Recording(ColumnSettings):
     def searches_clock(self) -> bool:
         return self.step_s is None
 
-    def read(self) -> Trajectory:
-        """Read a recorded experiment from its log file, in physical units."""
+    def read_experiment(self) -> Trajectory:
+        """Read a recorded experiment from a log file, in physical units."""
         return self.read_record(Path(self.path), first=self.first, last=self.last)
 
 

@@ -239,7 +239,7 @@ def test_what_is_found_by_its_kind_is_found_in_a_trusted_package(tmp_path: Path)
     init_path.write_text(
         "from ssm_study.data.readers.reader import Reader\n"
         "class Mine(Reader, names=('.mine',)):\n"
-        "    def read(self, path, names): raise NotImplementedError\n"
+        "    def read_columns(self, path, names): raise NotImplementedError\n"
     )
     assert ".mine" not in Reader.members(readers)
     extensions.trust_package(tmp_path / "logs_of_mine")

@@ -176,8 +176,8 @@ def test_the_position_score_is_that_of_the_position_itself(built) -> None:  # ty
 def test_decimation_keeps_what_a_hold_would_have_applied(benchmark_data: Path) -> None:
     path = str(benchmark_data / "emps" / "DATA_EMPS_PULSES.mat")
     signals = {"path": path, "input": "vir", "output": "qm"}
-    fine = Recording(**signals, step_s=0.001, decimate=1).read()
-    coarse = Recording(**signals, step_s=0.001, decimate=10).read()
+    fine = Recording(**signals, step_s=0.001, decimate=1).read_experiment()
+    coarse = Recording(**signals, step_s=0.001, decimate=10).read_experiment()
     expected = fine.y[:24840:10]
     np.testing.assert_array_equal(coarse.y, expected)
     actual = coarse.u[:, 0]
@@ -230,7 +230,7 @@ class TestWhereRecordsLie:
         data = from_yaml("data", "ced").build(0)
         test_y = data.test[0].y
         actual = test_y[:, 0]
-        columns = CsvReader().read(path, names).columns
+        columns = CsvReader().read_columns(path, names).columns
         expected = columns["z11"][400:]
         np.testing.assert_array_equal(actual, expected)
 
@@ -354,7 +354,7 @@ def as_tuples(parts):  # type: ignore[no-untyped-def]
 
 def mat_of_csv(source: Path, names: list[str], target: Path, **more: float) -> None:
     """The MAT twin of a record that is at hand as CSV."""
-    table = CsvReader().read(source, names)
+    table = CsvReader().read_columns(source, names)
     columns = {name: values[:, None] for name, values in table.columns.items()}
     target.parent.mkdir(exist_ok=True)
     savemat(target, columns | more, appendmat=False)

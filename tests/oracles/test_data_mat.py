@@ -79,12 +79,12 @@ def test_version_4_of_another_byte_order(tmp_path: Path) -> None:
     read."""
     path = tmp_path / "a.mat"
     write_version_4(path, 1000)
-    columns = MatReader().read(path, ["x"]).columns
+    columns = MatReader().read_columns(path, ["x"]).columns
     np.testing.assert_array_equal(columns["x"], [1.0, 2.0])
     write_version_4(path, 2000)
     words = r"not a complete MAT file: .*byte ordering"
     with pytest.raises(BadRequest, match=words):
-        MatReader().read(path, ["x"])
+        MatReader().read_columns(path, ["x"])
 
 
 def test_what_is_no_matrix_is_named(tmp_path: Path) -> None:
@@ -134,12 +134,12 @@ def test_an_object_that_cannot_be_read_is_skipped_by_name(tmp_path: Path) -> Non
     opaque = encode_opaque(b"tt")
     with path.open("ab") as stream:
         stream.write(opaque)
-    table = MatReader().read(path, ["z.InputData", "u", "m:2"])
+    table = MatReader().read_columns(path, ["z.InputData", "u", "m:2"])
     actual = table.columns["z.InputData"]
     np.testing.assert_array_equal(actual, u)
     words = r"\(variable\) = tt: is an object"
     with pytest.raises(BadRequest, match=words):
-        MatReader().read(path, ["tt"])
+        MatReader().read_columns(path, ["tt"])
     contents = MatReader().read_all_columns(path)
     columns = list(contents.columns)
     expected = ["z.InputData", "u", "m:1", "m:2"]
@@ -170,7 +170,7 @@ def test_refused(tmp_path: Path, content: bytes) -> None:
     path.write_bytes(content)
     words = r"a\.mat: not a complete MAT file: .*; save it again with -v7"
     with pytest.raises(BadRequest, match=words):
-        MatReader().read(path, ["x"])
+        MatReader().read_columns(path, ["x"])
 
 
 SAMPLING_TIMES = {"seconds": 20.0, "milliseconds": 0.02, "": 20.0}
@@ -252,7 +252,7 @@ def test_the_structs_of_a_recorder_are_read_by_number(tmp_path: Path) -> None:
     signals[0, 1] = ("Plant/Out", y)
     clock = 0.01 * np.arange(30)
     savemat(path, {"capture": {"X": {"Data": clock}, "Y": signals}})
-    table = MatReader().read(path, ["capture.Y(2).Data"])
+    table = MatReader().read_columns(path, ["capture.Y(2).Data"])
     np.testing.assert_array_equal(table.columns["capture.Y(2).Data"], y)
     text = str(look(path, input="capture.Y(1).Data", output="capture.Y(2).Data"))
     assert "capture.Y(1).Data is Plant/In, capture.Y(2).Data is Plant/Out" in text

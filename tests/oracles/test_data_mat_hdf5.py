@@ -65,7 +65,7 @@ def test_a_file_of_version_7_3_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(actual, U)
     actual = piece.y[:, 0]
     np.testing.assert_array_equal(actual, Y)
-    table = MatReader().read(path, ["data:1", "data:2"])
+    table = MatReader().read_columns(path, ["data:1", "data:2"])
     second_column = table.columns["data:2"]
     np.testing.assert_array_equal(second_column, Y)
     skipped = MatReader().read_all_columns(path).skipped

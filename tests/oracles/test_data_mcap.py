@@ -142,7 +142,7 @@ def test_groups_below_one_name_share_their_messages(tmp_path: Path) -> None:
     assert metadata["unit.input.signal_0"] == "rad/s"
     # As Foxglove plots them, and as topic.field.
     names = ["/case_0.output.signal_0", "/case_0/input.signal_0"]
-    columns = McapReader().read(path, names).columns
+    columns = McapReader().read_columns(path, names).columns
     actual = [columns[name] for name in names]
     expected = [output_values, input_values]
     np.testing.assert_array_equal(actual, expected)

@@ -15,8 +15,8 @@ class ExcelReader(Reader, names=(".xlsx", ".xls", ".ods", ".xlsm")):
     """Reader of spreadsheet files, which reads the first sheet. Names, units, dates and missing
     values are found as in a text with tabs."""
 
-    def read(self, path: Path, names: list[str]) -> Table:
-        return self._sheet_as_text_reader(path).read(path, names)
+    def read_columns(self, path: Path, names: list[str]) -> Table:
+        return self._sheet_as_text_reader(path).read_columns(path, names)
 
     def read_all_columns(self, path: Path) -> Table:
         return self._sheet_as_text_reader(path).read_all_columns(path)

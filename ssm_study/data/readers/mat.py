@@ -87,7 +87,7 @@ class MatReader(Reader, names=(".mat",)):
     refuses a file that is not whole.
     """
 
-    def read(self, path: Path, names: list[str]) -> Table:
+    def read_columns(self, path: Path, names: list[str]) -> Table:
         columns, skipped, texts = read_numeric_variables(path)
         owners: list[str] = []
         where = f"{path.name} (variable)"

@@ -14,7 +14,7 @@ from ssm_study.refusal import require
 class McapReader(Reader, names=(".mcap",)):
     """Reader of MCAP recordings, which reads numeric fields with their units and log times."""
 
-    def read(self, path: Path, names: list[str]) -> Table:
+    def read_columns(self, path: Path, names: list[str]) -> Table:
         groups, _ = read_mcap(path)
         fields = [
             (group, index, channel)

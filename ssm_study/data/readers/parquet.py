@@ -22,7 +22,7 @@ class ParquetReader(Reader, names=(".parquet",)):
     """Reader of Parquet files. Page checksums are verified where the file has them; a file that is
     not whole is refused."""
 
-    def read(self, path: Path, names: list[str]) -> Table:
+    def read_columns(self, path: Path, names: list[str]) -> Table:
         where = f"{path.name} (column)"
         try:
             schema = parquet.read_schema(path)
@@ -66,7 +66,7 @@ class ParquetReader(Reader, names=(".parquet",)):
         skipped = {
             name: f"holds {schema.field(name).type}" for name in schema.names if name not in numeric
         }
-        table = self.read(path, numeric) if numeric else Table(columns={})
+        table = self.read_columns(path, numeric) if numeric else Table(columns={})
         return replace(table, skipped=skipped)
 
 

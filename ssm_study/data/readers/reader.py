@@ -69,7 +69,7 @@ class Reader(Family):
     settings: TextSettings = TextSettings()
 
     @abstractmethod
-    def read(self, path: Path, names: list[str]) -> Table:
+    def read_columns(self, path: Path, names: list[str]) -> Table:
         """Read the named columns of a log file to a table. Raises `BadRequest` for a file that is
         not whole, a missing or ambiguous column."""
 
@@ -114,7 +114,7 @@ def read_table(
     that the file contradicts.
     """
     chosen = choose_reader(path, settings) if reader is None else reader
-    table = chosen.read(path, list(requested))
+    table = chosen.read_columns(path, list(requested))
     lengths = {name: len(table.columns[name]) for name in requested}
     same = len(set(lengths.values())) <= 1
     remedy = "cut them to the same length"

@@ -50,7 +50,7 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
         reader._parsed = (path, layout, parse_rows(path, layout))
         return reader
 
-    def read(self, path: Path, names: list[str]) -> Table:
+    def read_columns(self, path: Path, names: list[str]) -> Table:
         layout, table = self._parse_file(path)
         titles = blank_duplicate_titles(column_titles(layout), table)
         places = {
