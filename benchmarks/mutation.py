@@ -208,7 +208,8 @@ GROUPS = {
     "data": Group(
         modules=modules_of("data", "splits", "recorded", "experiments", "closed_loop")
         + modules_of("data", "simulated", "assembly"),
-        tests="tests/oracles/test_data_splits.py tests/oracles/test_data_choice.py "
+        tests="tests/oracles/test_data_cuts.py "
+        "tests/oracles/test_data_splits.py tests/oracles/test_data_choice.py "
         "tests/refusals/test_data_files.py tests/refusals/test_data_two_files.py "
         "tests/refusals/test_data_values.py "
         "tests/oracles/test_data_closed_loop.py tests/laws/test_data_sets.py "

@@ -15,31 +15,29 @@ from ssm_study.cli.parser import ACTIONS, FIGURES, SUBJECTS, build_parser
 from ssm_study.refusal import BadRequest
 
 PARTS = SimpleNamespace
-DEFAULTS: dict[str, dict[str, Any]] = {
-    "gather s": {},
-    "show s": {"by": None, "where": None, "columns": False, "cost": False},
-    "verify r": {"json": False, "verbose": False},
-    "refine r": {"record": None, "times": 4},
-    "reproduce r": {},
-    "export r --to d": {"real": "double", "yes": False, "prefix": "controller"},
-    "report s": {"others": [], "only": None, "open": False, "width": None, "verbose": False},
-    "watch s": {"port": 8420},
-    "export-mcap s": {},
-    "export-mlflow s": {"store": None},
+DEFAULTS: dict[str, dict[str, Any]] = {}
+DEFAULTS["gather s"] = {}
+DEFAULTS["show s"] = {"by": None, "where": None, "columns": False, "cost": False}
+DEFAULTS["verify r"] = {"json": False, "verbose": False}
+DEFAULTS["refine r"] = {"record": None, "times": 4}
+DEFAULTS["reproduce r"] = {}
+DEFAULTS["export r --to d"] = {"real": "double", "yes": False, "prefix": "controller"}
+DEFAULTS["report s"] = {"others": [], "only": None, "open": False, "width": None, "verbose": False}
+DEFAULTS["watch s"] = {"port": 8420}
+DEFAULTS["export-mcap s"] = {}
+DEFAULTS["export-mlflow s"] = {"store": None}
+GIVEN: dict[str, dict[str, Any]] = {}
+GIVEN["show s --columns --cost --by a"] = {"columns": True, "cost": True, "by": "a"}
+GIVEN["verify r --json -v"] = {"json": True, "verbose": True}
+GIVEN["export r --to d --yes --real float"] = {"yes": True, "real": "float", "to": Path("d")}
+GIVEN["report s t u --only a --only b --open -v"] = {
+    "others": [Path("t"), Path("u")],
+    "only": ["a", "b"],
+    "open": True,
+    "verbose": True,
 }
-GIVEN: dict[str, dict[str, Any]] = {
-    "show s --columns --cost --by a": {"columns": True, "cost": True, "by": "a"},
-    "verify r --json -v": {"json": True, "verbose": True},
-    "export r --to d --yes --real float": {"yes": True, "real": "float", "to": Path("d")},
-    "report s t u --only a --only b --open -v": {
-        "others": [Path("t"), Path("u")],
-        "only": ["a", "b"],
-        "open": True,
-        "verbose": True,
-    },
-    "look f --header false": {"header": "false", "file": Path("f")},
-    "excite --to f --step-s 0.1": {"step_s": 0.1, "seed": 0, "after": None, "lower": None},
-}
+GIVEN["look f --header false"] = {"header": "false", "file": Path("f")}
+GIVEN["excite --to f --step-s 0.1"] = {"step_s": 0.1, "seed": 0, "after": None, "lower": None}
 
 
 @pytest.mark.parametrize(("words", "expected"), (DEFAULTS | GIVEN).items())

@@ -24,17 +24,16 @@ from ssm_study.cli.run import configuration_folder
 from ssm_study.refusal import BadRequest
 
 PLAN = ["--multirun", "hydra/launcher=processes", "dry_run=true"]
-TRANSLATIONS: dict[str, list[str]] = {
-    "seed=1": ["seed=1"],
-    "seed=1 -m": ["--multirun", "seed=1"],
-    "--multirun seed=1": ["--multirun", "seed=1"],
-    "--strict --retry-failed": ["strict=true", "retry_failed=true"],
-    "seed=1 --open": ["seed=1"],
-    "--dry-run": PLAN,
-    "hydra/launcher=slurm --dry-run": PLAN,
-    "+hydra.launcher.x=1 --dry-run": PLAN,
-    "hydra/launcher=slurm": ["hydra/launcher=slurm"],
-}
+TRANSLATIONS: dict[str, list[str]] = {}
+TRANSLATIONS["seed=1"] = ["seed=1"]
+TRANSLATIONS["seed=1 -m"] = ["--multirun", "seed=1"]
+TRANSLATIONS["--multirun seed=1"] = ["--multirun", "seed=1"]
+TRANSLATIONS["--strict --retry-failed"] = ["strict=true", "retry_failed=true"]
+TRANSLATIONS["seed=1 --open"] = ["seed=1"]
+TRANSLATIONS["--dry-run"] = PLAN
+TRANSLATIONS["hydra/launcher=slurm --dry-run"] = PLAN
+TRANSLATIONS["+hydra.launcher.x=1 --dry-run"] = PLAN
+TRANSLATIONS["hydra/launcher=slurm"] = ["hydra/launcher=slurm"]
 
 
 @pytest.mark.parametrize(("words", "expected"), TRANSLATIONS.items())
@@ -180,34 +179,43 @@ def test_only_choices_stay_of_the_other_words() -> None:
 
 # Errors.
 
-ERRORS: list[tuple[Exception, str, str]] = [
+ERRORS: list[tuple[Exception, str, str]] = []
+ERRORS.append(
     (
         ValueError("Could not find 'plant/tenk' Available options in 'plant': tank motor"),
         "there is no plant/tenk",
         "did you mean plant=tank?",
-    ),
+    )
+)
+ERRORS.append(
     (
         ValueError("Ambiguous value for argument 'seed=0,1'"),
         "seed=0,1 are several values for one run",
         "add -m to sweep over them",
-    ),
+    )
+)
+ERRORS.append(
     (
         ValueError("Config group override must be a string"),
         "a group takes the name of one of its choices",
         "see `ssm-study run --help`",
-    ),
+    )
+)
+ERRORS.append(
     (
         ValueError("Could not override 'reference'. Did you mean to override reference@loop.r?"),
         "reference is named with its place",
         "did you mean reference@loop.r=step?",
-    ),
+    )
+)
+ERRORS.append(
     (
         ValueError("Could not override 'qqqqqq'.\nTo append"),
         "Could not override 'qqqqqq'",
         "see `ssm-study run --help`",
-    ),
-    (ValueError("Something\n  else."), "Something else", "see `ssm-study run --help`"),
-]
+    )
+)
+ERRORS.append((ValueError("Something\n  else."), "Something else", "see `ssm-study run --help`"))
 
 
 @pytest.mark.usefixtures("few_keys")
