@@ -111,7 +111,7 @@ def save_as_run(design: Any, folder: Any) -> Any:
 
     The package knows both its Python functions and its command; neither imports the other.
     """
-    return import_module(f"{__name__}.cli.from_python").save_run(design, folder)
+    return import_module(f"{__name__}.cli.from_python").save_design_as_run(design, folder)
 
 
 renamed.install_import_hook()

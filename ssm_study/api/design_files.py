@@ -39,13 +39,13 @@ def write_export_records(data: DataSet, folder: Path) -> None:
     """Write the training inputs and the validation outputs of a data set, from which an export
     takes signal ranges and names."""
     metadata = {"step_s": repr(data.step_s)}
-    inputs = (*group_training_inputs(data), *group_training_disturbances(data))
+    inputs = (*training_input_groups(data), *training_disturbance_groups(data))
     write_mcap(folder / "excitation.mcap", inputs, metadata)
-    outputs = tuple(group_validation_outputs(data))
+    outputs = tuple(validation_output_groups(data))
     write_mcap(folder / "validation.mcap", outputs, metadata)
 
 
-def group_training_inputs(data: DataSet) -> Iterator[SignalGroup]:
+def training_input_groups(data: DataSet) -> Iterator[SignalGroup]:
     """Inputs of the training records as signal groups of an MCAP file, with one topic for each
     record."""
     channels = tuple(data.inputs)
@@ -54,7 +54,7 @@ def group_training_inputs(data: DataSet) -> Iterator[SignalGroup]:
         yield SignalGroup(topic=topic, time_s=record.time_s, channels=channels, values=record.u)
 
 
-def group_training_disturbances(data: DataSet) -> Iterator[SignalGroup]:
+def training_disturbance_groups(data: DataSet) -> Iterator[SignalGroup]:
     """Measured disturbances of the training records as signal groups of an MCAP file, with one
     topic for each record."""
     channels = tuple(data.disturbances)
@@ -64,7 +64,7 @@ def group_training_disturbances(data: DataSet) -> Iterator[SignalGroup]:
             yield SignalGroup(topic=topic, time_s=record.time_s, channels=channels, values=record.d)
 
 
-def group_validation_outputs(data: DataSet) -> Iterator[SignalGroup]:
+def validation_output_groups(data: DataSet) -> Iterator[SignalGroup]:
     """Measured outputs of the validation records as signal groups of an MCAP file, with one topic
     for each record."""
     channels = tuple(data.outputs)

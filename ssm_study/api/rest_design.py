@@ -99,7 +99,7 @@ class RestDesign:
         names = [channel.name for channel in on.outputs]
         output_count = len(names)
         _, starts = signal_array_and_names(y0, "y0", output_count, names)
-        samples = self._default_samples
+        samples = self._default_sample_count
         if horizon_s is not None:
             seconds = read_number("horizon_s", horizon_s)
             require_positive("horizon_s", seconds, "give it in seconds")
@@ -125,7 +125,7 @@ class RestDesign:
         return tabulate_rollouts(rollouts, on)
 
     @property
-    def _default_samples(self) -> int:
+    def _default_sample_count(self) -> int:
         """Default length of a simulation in samples: until the proved bound on the distance from
         rest is 1 % of its initial value."""
         factors = [value for name, value in self.proved_numbers.items() if name.endswith("_factor")]

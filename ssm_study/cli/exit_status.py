@@ -23,7 +23,7 @@ def storage_error(field: str, error: OSError, default_path: str) -> BadRequest:
 
 
 def error_as_bad_request(error: Exception, arguments: list[str]) -> BadRequest:
-    """Describe in one sentence the error that ended a command."""
+    """Request error that describes, in one sentence, the error by which a command ended."""
     command = " ".join(arguments)
     if isinstance(error, BadRequest):
         return error

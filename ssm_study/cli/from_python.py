@@ -63,7 +63,7 @@ def study(*overrides: str) -> pd.DataFrame:
     return gather(line.study_folder(compose_configuration(place)))
 
 
-def save_run(design: "Design", folder: Path) -> Path:
+def save_design_as_run(design: "Design", folder: Path) -> Path:
     """Save a controller design as a run folder, with the files that a study's run would have.
 
     Model and gains are computed again, with everything that a run's record says beside them.
