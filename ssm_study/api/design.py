@@ -154,9 +154,9 @@ class Design:
         assert self.origin is not None
         data = self.origin.data
         mismatch = self.origin.mismatch
-        premise = measure_error_to_cover(self.model, data, mismatch)
+        spectra = measure_error_to_cover(self.model, data, mismatch)
         fresh = measure_error_spectra(self.model, data.test, mismatch, data.start_up_samples, ())
-        return coverage_columns(self.certificate, self.model, premise, fresh)
+        return coverage_columns(self.certificate, self.model, spectra, fresh)
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -345,11 +345,11 @@ class Design:
         from ssm_study.api.steps import measure_error_to_cover
 
         origin = self._model_with_records()
-        premise = measure_error_to_cover(self.model, origin.data, origin.mismatch)
+        spectra = measure_error_to_cover(self.model, origin.data, origin.mismatch)
         step_s = self.model.step_s
         scale = physical_input_scale(self.model, origin.data.inputs[0].unit)
         return draw_or_refuse(
-            "coverage_plot", lambda: coverage_picture(self.certificate, premise, step_s, scale)
+            "coverage_plot", lambda: coverage_picture(self.certificate, spectra, step_s, scale)
         )
 
     def nyquist(self) -> Any:

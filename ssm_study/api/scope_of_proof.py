@@ -112,8 +112,8 @@ def weak_input_power_text(design: "Design", reference: str) -> str:
         return f" (the input has no power in {note[1]})" if hertz >= from_hz else ""
     data = design.origin.data
     mismatch = design.origin.mismatch
-    premise = measure_error_to_cover(design.model, data, mismatch)
-    items = premise.requirements(part.centre)
+    spectra = measure_error_to_cover(design.model, data, mismatch)
+    items = spectra.requirements(part.centre)
     is_dark = any(item.dark for item in items if item.label == reference)
     return (
         ", where the deciding record has next to no input power and noise counts as error"

@@ -94,13 +94,13 @@ def design_controller(
     from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, seeks_coverage
 
     balls = certified_balls(model)
-    premise = measure_error_to_cover(model, data, plant_mismatch)
+    spectra = measure_error_to_cover(model, data, plant_mismatch)
     lower, upper = input_limits(*limits, data.training_inputs)
     if isinstance(synthesis, Auto):
         if judgement.level == CANNOT_JUDGE:
             synthesis = synthesis.with_largest_margin()
         decays = simulate_decays(model, data.mismatch_records, data.validation)
-        covering = synthesis.prefer_covered_designs(premise)
+        covering = synthesis.prefer_covered_designs(spectra)
         synthesis = covering.prefer_faster_than_decays(decays)
         lowest_input = scale_deviation(model, lower)
         highest_input = scale_deviation(model, upper)
@@ -108,8 +108,8 @@ def design_controller(
     design = synthesis.design(model, balls, data.validation, plant_mismatch)
     design = add_gain_certificates(design, model, balls, (lower, upper))
     cover = getattr(synthesis, "cover", None)
-    if seeks_coverage(model, cover, premise):
-        design = add_coverage_certificate(design, model, balls, premise)
+    if seeks_coverage(model, cover, spectra):
+        design = add_coverage_certificate(design, model, balls, spectra)
     return design
 
 

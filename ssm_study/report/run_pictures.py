@@ -75,10 +75,10 @@ def picture_of_nyquist_curve(run: RunFolder) -> Picture:
 def picture_of_coverage(run: RunFolder) -> Picture:
     """Picture of how much model error a run's proof covers in each frequency band."""
     model, design, mismatch = read_run_files(run, "any_model", "design", "mismatch")
-    premise = measure_error_spectra(
+    spectra = measure_error_spectra(
         model, run.validation_records, mismatch, run.start_up_samples, run.mismatch_records
     )
-    return coverage_picture(design, premise, model.step_s, run_input_scale(run, model))
+    return coverage_picture(design, spectra, model.step_s, run_input_scale(run, model))
 
 
 def picture_of_frequency_response(run: RunFolder) -> Picture:

@@ -220,7 +220,7 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
     validation = run.model_run.validation
     start_up = validation.start_up_samples
     mismatch = measure_model_error(run.model, validation.records, start_up, run.mismatch_records)
-    premise = measure_error_spectra(
+    spectra = measure_error_spectra(
         run.model, validation.records, mismatch, start_up, run.mismatch_records
     )
     fresh = None
@@ -230,9 +230,9 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
     design = run.design
     if is_coverage_search_repeated(run):
         # No word is believed: what the search finds is compared with what the record states.
-        design = add_coverage_certificate(design, run.model, certified_balls(run.model), premise)
-    facts = coverage_columns(design, run.model, premise, fresh)
-    facts |= recompute_fresh_data_column(run, premise, mismatch)
+        design = add_coverage_certificate(design, run.model, certified_balls(run.model), spectra)
+    facts = coverage_columns(design, run.model, spectra, fresh)
+    facts |= recompute_fresh_data_column(run, spectra, mismatch)
     is_old = run.record_version < VERSION
     if not design.feasible or (is_old and run.record.get("coverage") is not None):
         return facts  # true of the proof; a run of before such numbers were withheld has them
@@ -250,7 +250,7 @@ def is_coverage_search_repeated(run: RunFiles) -> bool:
 
 
 def recompute_fresh_data_column(
-    run: RunFiles, premise: ModelErrorSpectra, mismatch: Mismatch
+    run: RunFiles, spectra: ModelErrorSpectra, mismatch: Mismatch
 ) -> dict[str, Any]:
     """Recompute, by simulating further data sets of the plant again, the largest ratio of their
     model error to the recorded one."""
@@ -262,7 +262,7 @@ def recompute_fresh_data_column(
     start_up = run.model_run.validation.start_up_samples
     fresh = specification.data.simulate_fresh_sets(specification.plant, specification.seed)
     return coverage_needed_column(
-        relative_radii_for_further_data(run.design, run.model, premise, mismatch, fresh, start_up)
+        relative_radii_for_further_data(run.design, run.model, spectra, mismatch, fresh, start_up)
     )
 
 

@@ -157,8 +157,8 @@ def _measure_trial(files: RunFiles, log: Path | None) -> TrialMismatch:
     if mismatch.loop is None:
         return TrialMismatch(gain=0.0, coverage=None)
     records, start_up_samples, trials = measured
-    premise = measure_error_spectra(files.model, records, mismatch, start_up_samples, trials)
-    facts = coverage_columns(files.design, files.model, premise)
+    spectra = measure_error_spectra(files.model, records, mismatch, start_up_samples, trials)
+    facts = coverage_columns(files.design, files.model, spectra)
     return TrialMismatch(gain=mismatch.loop.gain, coverage=facts.get("coverage"))
 
 

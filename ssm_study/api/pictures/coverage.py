@@ -29,29 +29,29 @@ HIGHEST = 100.0  # a band that is covered so often says no more than "far"
 
 
 def coverage_picture(
-    design: Design, premise: ModelErrorSpectra, step_s: float, input_scale: InputScale | None = None
+    design: Design, spectra: ModelErrorSpectra, step_s: float, input_scale: InputScale | None = None
 ) -> Picture:
     """Picture of the coverage (tolerated model error divided by the measured one) in each frequency
     band.
 
     Bands in which the record shows no error are left out; crosses are bands without excitation,
     where noise counts as error. With `input_scale`, amplitudes are printed in physical units.
-    Raises `EmptyPictureError` without a certificate or a premise.
+    Raises `EmptyPictureError` without a certificate or without a measured model error.
     """
     part = design.extra_certificates.get(MeasuredDiscs.part)
     if not isinstance(part, MeasuredDiscs):
         raise EmptyPictureError("No proof speaks of the model error of these gains.")
-    missing = premise.insufficient_records_reason(part.centre)
+    missing = spectra.insufficient_records_reason(part.centre)
     if missing is not None:
         raise EmptyPictureError(f"Nothing is covered: {missing}.")
     weights = disc_weights(part)
-    table = coverage_table(premise, weights, part.centre, part.kappa)
+    table = coverage_table(spectra, weights, part.centre, part.kappa)
     rows = [row for row in table if row.need]
     if not rows:
         raise EmptyPictureError("The records show no model error in any band.")
-    labels = printed_record_names(premise, input_scale)
+    labels = printed_record_names(spectra, input_scale)
     series = _coverage_curves(rows, part.kappa, step_s, labels)
-    requirements = premise.requirements(part.centre)
+    requirements = spectra.requirements(part.centre)
     need, where = weights.largest_required_radius(requirements)
     coverage = part.kappa / need
     band = next((row for row in rows if row.decides), None)
@@ -77,14 +77,17 @@ def coverage_picture(
 
 
 def printed_record_names(
-    premise: ModelErrorSpectra, input_scale: InputScale | None
+    spectra: ModelErrorSpectra, input_scale: InputScale | None
 ) -> dict[str, str]:
     """Printed name of each record, with the amplitude of the record's input in physical units."""
-    spectra: list[MismatchSpectrum | AveragedSpectrum] = [*premise.repeating, *premise.averaged]
-    spectra += premise.sines
+    record_spectra: list[MismatchSpectrum | AveragedSpectrum] = [
+        *spectra.repeating,
+        *spectra.averaged,
+    ]
+    record_spectra += spectra.sines
     return {
         spectrum.name: amplitude_text(spectrum.amplitude, input_scale)
-        for spectrum in spectra
+        for spectrum in record_spectra
         if AMPLITUDE.fullmatch(spectrum.name)
     }
 

@@ -33,10 +33,10 @@ def compute_fresh_data(
     """Simulate data sets anew, and measure how much larger their model error is than in the run's
     records. Nothing is simulated without a coverage certificate."""
     model = model_run.model
-    premise = recorded_error_spectra(model, records, mismatch)
+    spectra = recorded_error_spectra(model, records, mismatch)
     fresh = data.simulate_fresh_sets(plant, seed)
     needs = relative_radii_for_further_data(
-        design, model, premise, mismatch, fresh, records.start_up_samples
+        design, model, spectra, mismatch, fresh, records.start_up_samples
     )
     write_json(folder / FILE, {"needs": [repr(need) for need in needs]})
 

@@ -75,7 +75,7 @@ def read_loop(folder: Path) -> Experiment | None:
 
 
 def loop_result_columns(
-    experiment: Experiment | None, _data: DataSet, _bounded: ModelRun, design: Design
+    experiment: Experiment | None, _data: DataSet, _model_run: ModelRun, design: Design
 ) -> Facts:
     """Table columns that describe a run's closed loop; empty if no loop was closed."""
     if experiment is None:

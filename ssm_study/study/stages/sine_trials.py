@@ -65,8 +65,8 @@ def sine_trial_result_columns(
     model = model_run.model
     start_up = records.start_up_samples
     trials = records.mismatch_records
-    premise = measure_error_spectra(model, records.validation, mismatch, start_up, trials)
-    coverage = reported_coverage(design, model, premise)
+    spectra = measure_error_spectra(model, records.validation, mismatch, start_up, trials)
+    coverage = reported_coverage(design, model, spectra)
     facts = sine_columns(design, model, certified_balls(model), mismatch, sines)
     facts |= sine_coverage_columns(design, sines, coverage)
     return withhold_predictions(facts, judgement.level)

@@ -40,7 +40,7 @@ def compute_synthesis(
 
     model = model_run.model
     balls = certified_balls(model)
-    premise = recorded_error_spectra(model, data, recorded_mismatch)
+    spectra = recorded_error_spectra(model, data, recorded_mismatch)
     ends = input_limits(limits["input_lower"], limits["input_upper"], data.training_inputs)
     method: Any = synthesis
     if isinstance(synthesis, Auto):
@@ -48,14 +48,14 @@ def compute_synthesis(
             synthesis.with_largest_margin() if judgement.level == CANNOT_JUDGE else synthesis
         )
         decays = simulate_decays(model, data.mismatch_records, data.validation)
-        method = judgeable.prefer_covered_designs(premise).prefer_faster_than_decays(decays)
+        method = judgeable.prefer_covered_designs(spectra).prefer_faster_than_decays(decays)
         if limits["applied"]:
             lower, upper = (model.scale.scaled_input(end) for end in ends)
             method = method.with_input_limits(lower, upper)
     design = method.design(model, balls, data.validation, recorded_mismatch)
     design = add_gain_certificates(design, model, balls, ends)
-    if seeks_coverage(model, getattr(synthesis, "cover", None), premise):
-        design = add_coverage_certificate(design, model, balls, premise)
+    if seeks_coverage(model, getattr(synthesis, "cover", None), spectra):
+        design = add_coverage_certificate(design, model, balls, spectra)
     design.save(folder / "certificate.json")
 
 
@@ -98,10 +98,10 @@ def synthesis_result_columns(
 
     model = model_run.model
     balls = certified_balls(model)
-    premise = recorded_error_spectra(model, data, recorded_mismatch)
+    spectra = recorded_error_spectra(model, data, recorded_mismatch)
     fresh = unused_record_error_spectra(model, data, recorded_mismatch)
     facts = design_columns(design, model, balls, recorded_mismatch)
-    facts |= coverage_columns(design, model, premise, fresh)
+    facts |= coverage_columns(design, model, spectra, fresh)
     facts |= faster_response_column(
         design, model, recorded_mismatch, data.validation, data.mismatch_records
     )
