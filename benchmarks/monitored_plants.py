@@ -76,7 +76,7 @@ def flagged_at(
         added = np.diff(sums, prepend=0.0) - monitor.allowance
         whole = np.cumsum(added)
         excess = whole - np.minimum(np.minimum.accumulate(whole), 0.0)
-        raised = np.flatnonzero(excess > monitor.sum_limit(scale.scaled_output(y[0])))
+        raised = np.flatnonzero(excess > monitor.alarm_limit(scale.scaled_output(y[0])))
         firsts.append(float(raised[0]) if len(raised) else np.inf)
     return np.array(firsts)
 

@@ -107,10 +107,10 @@ def make_doubt(sentence: str) -> Finding:
     return Finding(level="doubt", sentence=sentence)
 
 
-def finding_by_size(
+def findings_by_size(
     value: float, doubt_limit: float, rejection_limit: float, sentence: str
 ) -> list[Finding]:
-    """Finding whose level of severity depends on the size of a number; no finding for a small
+    """Finding whose level of severity depends on the size of a number; an empty list for a small
     number. It is a doubt from `doubt_limit` on and `cannot judge` from `rejection_limit` on."""
     if value >= rejection_limit:
         return [Finding(level="cannot judge", sentence=sentence)]

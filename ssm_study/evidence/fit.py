@@ -4,7 +4,13 @@ validation and test against predictors that know nothing, or are linear."""
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.evidence.finding import EvidenceCase, Finding, finding_by_size, make_doubt, make_note
+from ssm_study.evidence.finding import (
+    EvidenceCase,
+    Finding,
+    findings_by_size,
+    make_doubt,
+    make_note,
+)
 from ssm_study.models.metrics import Simulation
 from ssm_study.models.warm_start import simulate_from_alternative_states
 from ssm_study.signals import fit_from_relative_error, fit_percent, lagged_inputs
@@ -45,7 +51,7 @@ def judge_fit(case: EvidenceCase) -> list[Finding]:
     findings += judge_initial_state(case)
     owed = unmodelled_output_share(case)
     sentence = f"The model misses {100 * owed:.0f} % of the output's power, which follow the input"
-    return findings + finding_by_size(
+    return findings + findings_by_size(
         owed, OWED, MOST_OWED, f"{sentence}: raise model.order, or use more neurons."
     )
 
@@ -70,7 +76,7 @@ def judge_poor_fit(case: EvidenceCase) -> list[Finding]:
             )
         ]
     remedy = poor_fit_remedy(case)
-    return finding_by_size(-pooled, -POOR_FIT, -NO_FIT, f"{sentence}{remedy}")
+    return findings_by_size(-pooled, -POOR_FIT, -NO_FIT, f"{sentence}{remedy}")
 
 
 def poor_fit_remedy(case: EvidenceCase) -> str:

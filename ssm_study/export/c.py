@@ -81,7 +81,7 @@ def render_c_files(
     return {
         f"{prefix}.h": header,
         f"{prefix}.c": _render_source(prefix),
-        f"{prefix}_replay.c": _render_replay(device, prefix),
+        f"{prefix}_replay.c": _render_replay_program(device, prefix),
     }
 
 
@@ -121,8 +121,8 @@ def _render_header(
     tables = ""
     for label, values in device.constant_tables().items():
         tables += render_array(f"{prefix}_{label}", values, real)
-    maps = _render_map(f"{prefix}_s_in", controller.s_in, prefix, real)
-    maps += _render_map(f"{prefix}_s_out", controller.s_out, prefix, real)
+    maps = _render_static_map(f"{prefix}_s_in", controller.s_in, prefix, real)
+    maps += _render_static_map(f"{prefix}_s_out", controller.s_out, prefix, real)
     sizes = _template_values(device, prefix)
     declared = ""
     defined = ""
@@ -241,12 +241,10 @@ def _render_disturbance_update(device: DeviceController, prefix: str) -> str:
     return join_lines(lines)
 
 
-def _render_replay(device: DeviceController, prefix: str) -> str:
+def _render_replay_program(device: DeviceController, prefix: str) -> str:
     """C program that replays measurements and compares the controller's inputs with expected ones.
-
     The measurements are levels within two scales of rest, also beyond the limits, with noise on
-    top; set points change in between.
-    """
+    top; set points change in between."""
     scale = device.controller.scale
     rng = np.random.default_rng(REPLAY_SEED)
     steps = rng.uniform(-2, 2, (2, REPLAYED // 20, scale.outputs))
@@ -326,7 +324,9 @@ def _render_product(
     return f"    {prefix}_matvec({rows}, {columns}, #{matrix_name}, {source}, {target});\n"
 
 
-def _render_map(function_name: str, static_map: PortableMap, prefix: str, c_type: str) -> str:
+def _render_static_map(
+    function_name: str, static_map: PortableMap, prefix: str, c_type: str
+) -> str:
     """C function that evaluates a piecewise-linear static map, layer by layer. `out += linear v +
     N(v)`, `d = phi(W d + b) - phi(b)`."""
     tables = {"linear": static_map.linear}

@@ -87,7 +87,7 @@ class MonitorConstants:
 
         The allowance is a standing error of the settling band in every output; the limit the energy
         with which the model comes to rest from outputs half their scale away. A loop that starts
-        from afar has a larger one (`sum_limit`).
+        from afar has a larger one (`alarm_limit`).
         """
         part = design.extra_certificates.get(MeasuredDiscs.part)
         is_proved = isinstance(part, MeasuredDiscs) and part.certified
@@ -108,7 +108,7 @@ class MonitorConstants:
             limit=START**2 * free_decay_energy(model.linear),
         )
 
-    def sum_limit(self, first_output: Float[np.ndarray, "p"]) -> float:
+    def alarm_limit(self, first_output: Float[np.ndarray, "p"]) -> float:
         """Alarm limit for the running sum by which the model error exceeds its certified bound, for
         a given first measured output. It is the energy of the decay from half a scale, or from
         `ROOM` times that output."""

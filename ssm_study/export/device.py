@@ -179,13 +179,13 @@ class DeviceController:
         stored = EquilibriumCurve(lifted=lifted, x=full.x[::2], read=equilibrium_curve_read)
         below = len(controller.a) - stored.x.shape[1]
         states = np.pad(stored.x, ((0, 0), (0, below)))
-        output_map = PiecewiseLinear.interpolate(stored.lifted, stored.read[:, None])
+        output_map = PiecewiseLinear.from_points(stored.lifted, stored.read[:, None])
         errors = []
         for v, read in zip(full.lifted, full.read, strict=True):
             on_line = float(output_map(v[None])[0])
             errors.append(abs(on_line - read))
-        to_lifted = PiecewiseLinear.interpolate(stored.read, stored.lifted[:, None])
-        at_rest = PiecewiseLinear.interpolate(stored.lifted, states)
+        to_lifted = PiecewiseLinear.from_points(stored.read, stored.lifted[:, None])
+        at_rest = PiecewiseLinear.from_points(stored.lifted, states)
         joined = SetPoints(
             to_lifted=to_lifted,
             at_rest=at_rest,
@@ -202,7 +202,7 @@ class DeviceController:
         """Value of the controller's static input map at an input limit."""
         u = limit.astype(float)
         scaled = controller.scale.scaled_input(u)
-        return float(_evaluate_map(controller.s_in, np.clip(scaled, -WIDEST, WIDEST))[0])
+        return float(_evaluate_static_map(controller.s_in, np.clip(scaled, -WIDEST, WIDEST))[0])
 
     def constant_tables(self) -> dict[str, Float[np.ndarray, "..."]]:
         """Constant matrices and vectors of the exported C code, by name."""
@@ -271,13 +271,13 @@ class DeviceController:
         u = np.clip(requested, self.lower, self.upper)
         # The observer uses the input that was applied.
         applied = controller.scale.scaled_input(u)
-        lifted = _evaluate_map(controller.s_in, applied)
+        lifted = _evaluate_static_map(controller.s_in, applied)
         measured = controller.scale.scaled_output(measured_output)
         start = multiply_in_order(controller.c, state)
         read = multiply_in_order(controller.d, lifted, start)
         if neurons and neurons.h.any():
             read = multiply_in_order(neurons.h, neurons(state, lifted), read)
-        error = _evaluate_map(controller.s_out, read) - measured
+        error = _evaluate_static_map(controller.s_out, read) - measured
         following = multiply_in_order(controller.a, state)
         following = multiply_in_order(controller.b, lifted, following)
         following = multiply_in_order(controller.l, error, following)
@@ -320,10 +320,10 @@ class DeviceController:
         requested = scale.physical_input(wanted_input)
         u = np.clip(requested, self.lower, self.upper)
         v = scale.scaled_input(u)
-        lifted = _evaluate_map(controller.s_in, v)
+        lifted = _evaluate_static_map(controller.s_in, v)
         x = evaluate_equilibrium_map(points.at_rest, lifted)
         mapped_output = evaluate_equilibrium_map(points.seen, lifted)
-        w = _evaluate_map(controller.s_out, mapped_output)
+        w = _evaluate_static_map(controller.s_out, mapped_output)
         return {"x": x, "v": v, "w": w}
 
     def recomputed_inputs(
@@ -372,7 +372,7 @@ def _count_equilibrium_multiplications(equilibrium_map: Any) -> int:
     return equilibrium_map.size
 
 
-def _evaluate_map(static_map: PortableMap, v: Vector) -> Vector:
+def _evaluate_static_map(static_map: PortableMap, v: Vector) -> Vector:
     """Value of a static map, computed in the same order of operations as in the C code."""
     out = multiply_in_order(static_map.linear, v)
     if static_map.network is None:

@@ -35,7 +35,7 @@ class PiecewiseLinear:
     offsets: Rows
 
     @classmethod
-    def interpolate(cls, arguments: Vector, values: Rows) -> "PiecewiseLinear":
+    def from_points(cls, arguments: Vector, values: Rows) -> "PiecewiseLinear":
         """Construct the piecewise-linear map through given points."""
         order = np.argsort(arguments)
         arguments = arguments[order]

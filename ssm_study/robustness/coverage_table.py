@@ -53,11 +53,11 @@ def coverage_table(
     rows = []
     for band, need in zip(bands, needs, strict=True):
         decides = need > 0 and need == largest
-        rows.append(_band_row(band, weights, kappa, need, is_deciding=decides))
+        rows.append(_coverage_row(band, weights, kappa, need, is_deciding=decides))
     return rows
 
 
-def _band_row(
+def _coverage_row(
     requirement: DiscRequirement,
     weights: DiscWeights,
     kappa: float,

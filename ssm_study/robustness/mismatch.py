@@ -37,8 +37,8 @@ from ssm_study.robustness.return_to_rest import (
     AT_REST,
     FAINT,
     is_return_to_rest,
-    offsets_after_returns,
     oscillation_amplitude,
+    oscillations_and_offsets_after_returns,
     output_after_motion,
     remaining_offset,
 )
@@ -165,7 +165,7 @@ def measure_model_error(
         views = _errors_from_periods(periodic, repeating, noise)
     response = model.linear.impulse_response_length()
     returns = [trial for trial in mismatch_records if is_return_to_rest(trial)]
-    still, offsets = offsets_after_returns(model.scale, returns, response)
+    still, offsets = oscillations_and_offsets_after_returns(model.scale, returns, response)
     own_offsets, swings = _offsets_and_oscillations_at_rest(moving, response)
     decays = [remaining_offset(errors.output) for errors in resting]
     starts = [float(np.abs(errors.output[0]).max()) for errors in resting]

@@ -43,7 +43,7 @@ def is_return_to_rest(record: Trajectory) -> bool:
     return moves_once and is_constant_afterwards
 
 
-def offsets_after_returns(
+def oscillations_and_offsets_after_returns(
     scale: Scale, records: list[Trajectory], response_length: int
 ) -> tuple[list[float], list[float]]:
     """Oscillations and offsets that the outputs of several records still have after the input has
@@ -101,7 +101,7 @@ def _group_outputs_by_final_input(
 def _starts_far_from_rest(outputs: list[OutputSignal]) -> bool:
     """Whether at least one of several outputs begins far from its final value."""
     for output in outputs:
-        tail, _ = _last_quarter(output)
+        tail, _ = _last_quarter_and_noise(output)
         final_value = tail.mean(axis=0)
         distance = np.abs(output[0] - final_value)
         if distance.max() >= FAR:
@@ -112,7 +112,7 @@ def _starts_far_from_rest(outputs: list[OutputSignal]) -> bool:
 def _distances_from_rest(outputs: list[OutputSignal], *, is_centred: bool) -> list[float]:
     """Distance of each record's final output from the equilibrium or from the mean of the other
     records, less its uncertainty."""
-    tails = [_last_quarter(y) for y in outputs]
+    tails = [_last_quarter_and_noise(y) for y in outputs]
     means = np.stack([tail.mean(axis=0) for tail, _ in tails])
     spread = np.stack([noise / len(tail) for tail, noise in tails])
     others = len(means) - 1
@@ -146,7 +146,7 @@ def output_after_motion(
 def remaining_offset(output: OutputSignal) -> float:
     """Offset or oscillation amplitude, whichever is larger, of the output at the end of a record
     with constant input. The last quarter counts, with noise removed."""
-    tail, noise = _last_quarter(output)
+    tail, noise = _last_quarter_and_noise(output)
     standard_error = np.sqrt(noise / len(tail))
     offset = np.abs(tail.mean(axis=0)) - SURE * standard_error
     offset = np.maximum(offset, 0.0)
@@ -156,7 +156,7 @@ def remaining_offset(output: OutputSignal) -> float:
 
 def oscillation_amplitude(output: OutputSignal) -> float:
     """Amplitude of an output's oscillation in the last quarter of a record at constant input."""
-    tail, noise = _last_quarter(output)
+    tail, noise = _last_quarter_and_noise(output)
     relative_error = np.sqrt(8 / len(tail))
     most_noise = (1 + SURE * relative_error) * noise
     total_variance = tail.var(axis=0)
@@ -165,9 +165,9 @@ def oscillation_amplitude(output: OutputSignal) -> float:
     return float(amplitude.max())
 
 
-def _last_quarter(output: OutputSignal) -> tuple[FinalOutput, Variance]:
-    """Last quarter of an output at constant input, and the variance of its noise. The variance is
-    the mean of `median(S) / ln 2`, each over `NEIGHBOURS` lines.
+def _last_quarter_and_noise(output: OutputSignal) -> tuple[FinalOutput, Variance]:
+    """Last quarter of an output at constant input, and the variance of the noise in it. The
+    variance is the mean of `median(S) / ln 2`, each over `NEIGHBOURS` lines.
 
     A swing, of any frequency, is a line of the periodogram S, and moves no median; noise that a
     loop has fed back and coloured is broad, and does. The relative variance is about 6/T, that of

@@ -10,7 +10,7 @@ from test_evidence_response import LEVELS, WHITE, answer, case
 
 from ssm_study.data.assembly import assemble_dataset
 from ssm_study.evidence import autonomous_motion, fit, records, response
-from ssm_study.evidence.finding import EvidenceCase, finding_by_size
+from ssm_study.evidence.finding import EvidenceCase, findings_by_size
 from ssm_study.models.metrics import Simulation
 from ssm_study.signals import Channel, DataSet, Trajectory
 from ssm_study.systems import StateSpace
@@ -74,7 +74,7 @@ SIZES = [(0.9, []), (1.0, ["doubt"]), (1.9, ["doubt"]), (2.0, ["cannot judge"])]
 
 @pytest.mark.parametrize(("size", "expected"), SIZES)
 def test_a_number_at_its_limit_counts(size, expected):
-    findings = finding_by_size(size, 1.0, 2.0, "a")
+    findings = findings_by_size(size, 1.0, 2.0, "a")
     assert levels_of(findings) == expected
 
 

@@ -19,8 +19,8 @@ from ssm_study.robustness.return_to_rest import (
     AT_REST,
     SURE,
     _distances_from_rest,
-    _last_quarter,
-    offsets_after_returns,
+    _last_quarter_and_noise,
+    oscillations_and_offsets_after_returns,
 )
 from ssm_study.signals import Scale, Trajectory
 
@@ -262,7 +262,7 @@ def test_a_short_return_shows_a_rest_where_it_comes_from_far(start, said):
     y = start * impulse
     record = Trajectory(u=u, y=y, step_s=0.1)
     scale = Scale.identity(1, 1)
-    still, offsets = offsets_after_returns(scale, [record], 1000)
+    still, offsets = oscillations_and_offsets_after_returns(scale, [record], 1000)
     assert still == pytest.approx(said)
     assert offsets == []
 
@@ -274,7 +274,7 @@ def test_a_return_is_long_from_two_responses_on(response_length, motions):
     y = 0.1 * np.eye(41, 1, -1)
     record = Trajectory(u=u, y=y, step_s=0.1)
     scale = Scale.identity(1, 1)
-    still, _ = offsets_after_returns(scale, [record], response_length)
+    still, _ = oscillations_and_offsets_after_returns(scale, [record], response_length)
     assert still == pytest.approx(motions)
 
 
@@ -292,7 +292,7 @@ def test_what_counts_as_far_is_counted_from_where_the_return_ends(start, said):
     record = Trajectory(u=u, y=y, step_s=0.1)
     scale = Scale.identity(1, 1)
     records = [record, record]
-    still, offsets = offsets_after_returns(scale, records, 1000)
+    still, offsets = oscillations_and_offsets_after_returns(scale, records, 1000)
     assert still == pytest.approx(said)
     assert offsets == []
 
@@ -370,8 +370,8 @@ def test_noise_is_taken_off_a_return_and_off_the_mean_of_the_others(count):
     noise = 0.01 * white_noise
     levels = rng.uniform(-1, 1, count)
     outputs = [level + noise for level in levels]
-    tail, variance = _last_quarter(outputs[0])
-    last_means = [_last_quarter(y)[0].mean() for y in outputs]
+    tail, variance = _last_quarter_and_noise(outputs[0])
+    last_means = [_last_quarter_and_noise(y)[0].mean() for y in outputs]
     means = np.array(last_means)
     means_of_others = [np.delete(means, i).mean() for i in range(count)]
     others = np.array(means_of_others)

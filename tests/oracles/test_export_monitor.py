@@ -173,7 +173,7 @@ def test_the_sum_is_the_running_sum_of_the_premise_that_never_falls_below_zero(
     expected = sum_above_zero(increments - monitor.allowance)
     sums, flags = watched(y, u)
     np.testing.assert_allclose(sums, expected, rtol=1e-9, atol=1e-12)
-    limit = monitor.sum_limit(y[:1])
+    limit = monitor.alarm_limit(y[:1])
     assert expected.max() > limit > monitor.limit > 0
     assert flags[-1]
     largest_so_far = np.maximum.accumulate(expected)
