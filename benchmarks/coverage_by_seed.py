@@ -238,7 +238,7 @@ def row_of(task: RowTask) -> dict[str, Any]:
     identified = time.process_time()
     plain, chosen = case.choose()
     designed = time.process_time()
-    fresh = list(case.parts.data.simulate_fresh_sets(case.plant, task.seed))
+    fresh = list(case.parts.data.simulate_held_out_records(case.plant, task.seed))
     start_up = case.data.start_up_samples
     needs = relative_radii_for_further_data(
         chosen, case.model, case.premise, case.mismatch, fresh, start_up

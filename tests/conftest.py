@@ -240,7 +240,7 @@ def _shapes(request: pytest.FixtureRequest) -> Iterator[None]:
 MADE_AGAIN = (
     "ssm_study.data.metrics.persistency_order",
     "ssm_study.data.simulated.SimulatedData.build",
-    "ssm_study.data.simulated.SimulatedData.simulate_fresh_sets",
+    "ssm_study.data.simulated.SimulatedData.simulate_held_out_records",
     "ssm_study.loop.regulation.LoopExperiment.run_on_model",
     "ssm_study.loop.regulation.LoopExperiment.run_on_plant",
     "ssm_study.loop.regulation.LoopExperiment.run_design",

@@ -1,5 +1,5 @@
 """Examine a log of measured inputs and outputs before a model is fitted to it."""
 
-from ssm_study.data.look import LogLook, look
+from ssm_study.data.look import LogOverview, look
 
-__all__ = ["LogLook", "look"]
+__all__ = ["LogOverview", "look"]

@@ -23,7 +23,11 @@ from ssm_study.api.summaries import html_table, render_text_table, summarise_mod
 from ssm_study.api.systems import read_path
 from ssm_study.bounds.metrics import model_bound_columns
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.data.arrays import check_time_index, disturbance_array, signal_array_and_names
+from ssm_study.data.arrays import (
+    disturbance_array,
+    require_consistent_time_indexes,
+    signal_array_and_names,
+)
 from ssm_study.data.metrics import data_set_columns
 from ssm_study.evidence.metrics import Judgement
 from ssm_study.models.bilinear import Bilinear
@@ -129,7 +133,7 @@ class Model:
         that the model was not fitted with, or of another length.
         """
         step_s = self.data.step_s
-        check_time_index(u, None, step_s)
+        require_consistent_time_indexes(u, None, step_s)
         channels = len(self.data.inputs)
         _, inputs = signal_array_and_names(u, "u", channels, self.input_names)
         samples = len(inputs)

@@ -10,7 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ssm_study.api.arguments import Values
-from ssm_study.data.arrays import check_time_index, disturbance_array, signal_array_and_names
+from ssm_study.data.arrays import (
+    disturbance_array,
+    require_consistent_time_indexes,
+    signal_array_and_names,
+)
 from ssm_study.models.members import mean_simulation
 from ssm_study.models.metrics import Simulation
 from ssm_study.refusal import require, require_at_least
@@ -37,7 +41,7 @@ def simulate_given_record(
     longer than its start.
     """
     data = model.data
-    check_time_index(u, y, data.step_s)
+    require_consistent_time_indexes(u, y, data.step_s)
     input_count = len(data.inputs)
     _, inputs = signal_array_and_names(u, "u", input_count, model.input_names)
     _, outputs = signal_array_and_names(y, "y", columns=model.output_names)

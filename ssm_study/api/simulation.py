@@ -9,7 +9,7 @@ from ssm_study.api.known_maps import warn_of_unknown_maps
 from ssm_study.api.loops import choose_plant, simulate_loop, tabulate_rollouts
 from ssm_study.api.model import Model
 from ssm_study.api.rest_design import RestDesign
-from ssm_study.data.arrays import check_time_index, signal_array_and_names
+from ssm_study.data.arrays import require_consistent_time_indexes, signal_array_and_names
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
 
@@ -35,7 +35,7 @@ def simulate(
     """
     if isinstance(subject, Model):
         step_s = subject.data.step_s
-        check_time_index(values, None, step_s)
+        require_consistent_time_indexes(values, None, step_s)
         _, inputs = signal_array_and_names(values, "u", columns=subject.input_names)
         table = pd.DataFrame(inputs)
         outputs = subject.predict(table, disturbance)

@@ -79,7 +79,7 @@ def combine_signal_columns(
     """Combine the columns of input, output and disturbance of one experiment into one table."""
     first, *others = signals.values()
     for other in others:
-        check_time_index(first, other, step_s)
+        require_consistent_time_indexes(first, other, step_s)
     columns = {}
     values = []
     for name, given in signals.items():
@@ -241,9 +241,9 @@ def refuse_nonfinite(table: SignalTable, values: Any, name: str) -> None:
     raise BadRequest(where, word, count, INTERPOLATE_OR_CUT)
 
 
-def check_time_index(u: Any, y: Any, step_s: float | None) -> None:
+def require_consistent_time_indexes(u: Any, y: Any, step_s: float | None) -> None:
     """Raise `BadRequest` unless the time indexes of series or frames are evenly spaced and agree
-    with each other and with the sampling time."""
+    with each other and with the sampling period."""
     input_side = ("u", u)
     output_side = ("y", y)
     sides = (input_side, output_side)

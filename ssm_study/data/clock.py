@@ -31,9 +31,9 @@ HELD = 0.5  # share of samples at which a held input does not change
 
 
 @dataclass(frozen=True, kw_only=True)
-class EvenRows:
-    """Rows of a log at evenly spaced times, cut into pieces that have no gaps. Each piece starts at
-    a whole number of samples.
+class EvenlySpacedRows:
+    """Rows of a log at evenly spaced times, cut into pieces without gaps. Each piece starts at a
+    whole number of samples.
 
     `remarks` state holes, missing values and interpolation, in words.
     """
@@ -44,7 +44,7 @@ class EvenRows:
     remarks: list[str]
 
 
-def count_log_samples(pieces: EvenRows) -> int:
+def count_log_samples(pieces: EvenlySpacedRows) -> int:
     """Number of sampling instants from the beginning of a log to its end, gaps included."""
     last_piece = pieces.values[-1]
     return pieces.starts[-1] + len(last_piece)
@@ -118,7 +118,7 @@ def resample_to_even_clock(
     step_s: float | None,
     tolerance: float,
     resample: bool,
-) -> EvenRows:
+) -> EvenlySpacedRows:
     """Resample a log to evenly spaced times, and cut the log at gaps and missing values.
 
     `step_s`, where it is given, must agree with the times within 0.1 %. The first `inputs` columns
@@ -142,14 +142,14 @@ def resample_to_even_clock(
     if late.max() <= tolerance and not resample:
         require_equal_period(step_s, mean_s, source)
         period_s = mean_s if step_s is None else step_s
-        rows = EvenRows(values=[values], starts=[0], step_s=period_s, remarks=[])
+        rows = EvenlySpacedRows(values=[values], starts=[0], step_s=period_s, remarks=[])
         return cut_pieces_at_missing_values(rows)
     return cut_log_at_gaps(time_s, values, inputs, source, step_s, tolerance, resample)
 
 
 def recover_rounded_clock(
     time_s: ClockTimes, values: RowValues, tolerance: float
-) -> EvenRows | None:
+) -> EvenlySpacedRows | None:
     """Recover evenly spaced times from recorded times that were rounded to few digits; None if no
     even spacing explains them. None if no such clock explains the times, or if the times are even
     already."""
@@ -169,13 +169,13 @@ def recover_rounded_clock(
         f"times rounded to {steps.max():.3g} s at their coarsest; an even clock of {period_s:g} s "
         f"explains every row (to {error:.2g} of it; data.step_s states it exactly)"
     )
-    rows = EvenRows(values=[values], starts=[0], step_s=period_s, remarks=[remark])
+    rows = EvenlySpacedRows(values=[values], starts=[0], step_s=period_s, remarks=[remark])
     return cut_pieces_at_missing_values(rows)
 
 
 def apply_stated_period(
     time_s: ClockTimes, values: RowValues, step_s: float, source: str
-) -> EvenRows:
+) -> EvenlySpacedRows:
     """Replace rounded time stamps by evenly spaced ones with the stated sampling period. Raises
     `BadRequest` where the time stamps contradict the period."""
     steps_s = np.diff(time_s)
@@ -192,7 +192,7 @@ def apply_stated_period(
     remedy = "correct one of them (units?)"
     require(agrees, "data.step_s", step_s, problem, remedy)
     remark = f"times rounded to {coarsest_s:.3g} s at their end, data.step_s taken"
-    rows = EvenRows(values=[values], starts=[0], step_s=step_s, remarks=[remark])
+    rows = EvenlySpacedRows(values=[values], starts=[0], step_s=step_s, remarks=[remark])
     return cut_pieces_at_missing_values(rows)
 
 
@@ -213,7 +213,7 @@ def cut_log_at_gaps(
     step_s: float | None,
     tolerance: float,
     resample: bool,
-) -> EvenRows:
+) -> EvenlySpacedRows:
     """Cut a log into pieces where its times have gaps, and interpolate where the times drift from
     an even spacing. Values are interpolated where the clock wanders."""
     steps = np.diff(time_s)
@@ -234,7 +234,7 @@ def cut_log_at_gaps(
         since_s = time_s - time_s[0]
         starts = [round(since_s[a] / period_s) for a, _ in stretches]
         cut = [values[a:b] for a, b in stretches]
-        rows = EvenRows(values=cut, starts=starts, step_s=period_s, remarks=remarks)
+        rows = EvenlySpacedRows(values=cut, starts=starts, step_s=period_s, remarks=remarks)
         return cut_pieces_at_missing_values(rows)
     clock = None if resample else find_scattered_clock(time_s, stretches)
     if clock is not None:
@@ -257,7 +257,7 @@ def number_scattered_rows(
     clock: ScatteredClock,
     step_s: float | None,
     remarks: list[str],
-) -> EvenRows:
+) -> EvenlySpacedRows:
     """Assign consecutive sample numbers to the rows of a log whose times scatter around evenly
     spaced ones."""
     period_s = clock.period_s if step_s is None else step_s
@@ -269,7 +269,7 @@ def number_scattered_rows(
     )
     cut = [values[a:b] for a, b in stretches]
     all_remarks = [*remarks, remark]
-    rows = EvenRows(values=cut, starts=starts, step_s=period_s, remarks=all_remarks)
+    rows = EvenlySpacedRows(values=cut, starts=starts, step_s=period_s, remarks=all_remarks)
     return cut_pieces_at_missing_values(rows)
 
 
@@ -306,7 +306,7 @@ def interpolate_pieces(
     stretches: list[tuple[int, int]],
     period_s: float,
     remarks: list[str],
-) -> EvenRows:
+) -> EvenlySpacedRows:
     """Resample each gap-free piece of a log at evenly spaced times; held inputs stay piecewise
     constant."""
     cut: list[np.ndarray] = []
@@ -340,7 +340,7 @@ def interpolate_pieces(
     if late < SCATTERS:
         remark += f"; data.jitter_tolerance={late + 0.01:.2f} numbers the rows instead"
     remarks = [*remarks, remark]
-    rows = EvenRows(values=cut, starts=starts, step_s=period_s, remarks=remarks)
+    rows = EvenlySpacedRows(values=cut, starts=starts, step_s=period_s, remarks=remarks)
     return cut_pieces_at_missing_values(rows)
 
 
@@ -369,7 +369,7 @@ def interpolate_column(
     return np.interp(clock, times, column)
 
 
-def cut_pieces_at_missing_values(pieces: EvenRows) -> EvenRows:
+def cut_pieces_at_missing_values(pieces: EvenlySpacedRows) -> EvenlySpacedRows:
     """Cut the pieces of a log where a value is missing, and leave out pieces of one or two rows."""
     cut: list[np.ndarray] = []
     starts: list[int] = []
@@ -397,4 +397,4 @@ def cut_pieces_at_missing_values(pieces: EvenRows) -> EvenRows:
         rows = "row" if missing == 1 else "rows"
         places = "place" if gaps == 1 else "places"
         remarks.append(f"cut at {missing} {rows} with missing values in {gaps} {places}")
-    return EvenRows(values=cut, starts=starts, step_s=pieces.step_s, remarks=remarks)
+    return EvenlySpacedRows(values=cut, starts=starts, step_s=pieces.step_s, remarks=remarks)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.clock import AGREEMENT, HOLE, EvenRows, resample_to_even_clock
+from ssm_study.data.clock import AGREEMENT, HOLE, EvenlySpacedRows, resample_to_even_clock
 from ssm_study.refusal import require
 
 SHORTEST_EXPERIMENT = 10  # rows: of a clock that starts again more often than this it is none
@@ -48,7 +48,7 @@ def resample_experiments(
     step_s: float | None,
     tolerance: float,
     resample: bool,
-) -> EvenRows:
+) -> EvenlySpacedRows:
     """Bring the rows of each experiment in a log file to evenly spaced times, one experiment at a
     time.
 
@@ -69,7 +69,7 @@ def resample_experiments(
     return join_experiments(experiments, source)
 
 
-def join_experiments(experiments: Sequence[EvenRows], source: str) -> EvenRows:
+def join_experiments(experiments: Sequence[EvenlySpacedRows], source: str) -> EvenlySpacedRows:
     """Join the experiments of one log file, all with the same sampling period, into one log with
     gaps between them."""
     steps_s = [experiment.step_s for experiment in experiments]
@@ -92,4 +92,4 @@ def join_experiments(experiments: Sequence[EvenRows], source: str) -> EvenRows:
     remark = f"the clock starts again: {len(experiments)} experiments"
     distinct_words = dict.fromkeys(words)
     remarks = [remark, *distinct_words]
-    return EvenRows(values=values, starts=starts, step_s=step_s, remarks=remarks)
+    return EvenlySpacedRows(values=values, starts=starts, step_s=step_s, remarks=remarks)

@@ -82,7 +82,7 @@ class LogSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LogLook:
+class LogOverview:
     """Overview of a log: summary of each column, sentences on the dynamics, fitting command."""
 
     path: Path
@@ -139,7 +139,7 @@ def look(
     step_s: float | None = None,
     disturbance: str | int | None = None,
     settings: TextSettings | None = None,
-) -> LogLook:
+) -> LogOverview:
     """Examine a log file, and propose the command that fits a model to the log.
 
     Input and output are guessed by their names and by which column holds levels, unless they are
@@ -158,7 +158,7 @@ def look(
     return examine_log(path, stated)
 
 
-def examine_log(path: Path, stated: LogSettings) -> LogLook:
+def examine_log(path: Path, stated: LogSettings) -> LogOverview:
     """Examine a log file whose columns and format are partly stated by the user."""
     table = choose_reader(path, stated.text).read_all_columns(path)
     require_numeric_column(path, table)
@@ -186,7 +186,7 @@ def examine_log(path: Path, stated: LogSettings) -> LogLook:
         others = [name for name in others if name not in counters]
         sentences += possible_disturbance_sentences(others)
     command = NO_SIGNALS if doubts else study_command(path, u, y, stated, reading, facts, sentences)
-    return LogLook(
+    return LogOverview(
         path=path,
         columns=facts,
         skipped=table.skipped,

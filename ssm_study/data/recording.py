@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ssm_study.data.channel_names import Names, as_name_tuple, name_channels
 from ssm_study.data.clock import (
-    EvenRows,
+    EvenlySpacedRows,
     count_log_samples,
     cut_pieces_at_missing_values,
     require_equal_period,
@@ -169,7 +169,7 @@ class ColumnSettings:
         with the command that shows it.
         """
         try:
-            pieces, remarks = self._read_even_rows(path, output_path or path)
+            pieces, remarks = self._read_evenly_spaced_rows(path, output_path or path)
         except BadRequest as error:
             raise add_look_command_to_error(error, path) from error
         whole = range(first, count_log_samples(pieces) if last is None else last)
@@ -203,7 +203,9 @@ class ColumnSettings:
             y = np.diff(y, axis=0) / step_s
         return Trajectory(u=u, y=y, step_s=step_s, name=path.name)
 
-    def _read_even_rows(self, path: Path, output_path: Path) -> tuple[EvenRows, list[str]]:
+    def _read_evenly_spaced_rows(
+        self, path: Path, output_path: Path
+    ) -> tuple[EvenlySpacedRows, list[str]]:
         """Read a log file as samples at evenly spaced times, and describe how it was read."""
         time_s, stated_s, values, remarks = self._read_columns(path, output_path)
         if time_s is None:
@@ -214,7 +216,7 @@ class ColumnSettings:
                 raise BadRequest("data.step_s", None, problem, remedy)
             if stated_s is not None:
                 require_equal_period(self.step_s, stated_s, path.name)
-            rows = EvenRows(values=[values], starts=[0], step_s=period_s, remarks=[])
+            rows = EvenlySpacedRows(values=[values], starts=[0], step_s=period_s, remarks=[])
             pieces = cut_pieces_at_missing_values(rows)
         else:
             pieces = resample_experiments(

@@ -50,7 +50,7 @@ class TrainingAmplitudeWarning(UserWarning):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FreshRecords:
+class HeldOutRecords:
     """Simulated records that neither the fit nor the design has used, for an independent
     measurement of the model error."""
 
@@ -120,8 +120,9 @@ class SimulatedData:
         channels = (plant.inputs, plant.outputs)
         return assemble_dataset(parts, (rest.u, rest.y), channels, self.start_up_samples, **fields)
 
-    def simulate_fresh_sets(self, plant: Plant, seed: int) -> Iterator[FreshRecords]:
-        """Simulate several further sets of records that neither the fit nor the design uses."""
+    def simulate_held_out_records(self, plant: Plant, seed: int) -> Iterator[HeldOutRecords]:
+        """Simulate several further sets of records that are used neither by the fit nor by the
+        design."""
         for number in range(self.fresh_sets):
             rng = np.random.default_rng([seed, FRESH, number])
             scoring = self.scoring_excitation
@@ -129,7 +130,7 @@ class SimulatedData:
             trials: Trajectories = ()
             if self.trials:
                 trials = simulate_mismatch_records(plant, rng, self.noise_deviation(plant))
-            yield FreshRecords(validation=tuple(validation), mismatch_records=trials)
+            yield HeldOutRecords(validation=tuple(validation), mismatch_records=trials)
 
     def simulate_sine_experiments(
         self, plant: Plant, seed: int, frequency_indices: Sequence[int]

@@ -8,10 +8,10 @@ from ssm_study.data.plain_names import drawable_title
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ssm_study.data.look import LogLook
+    from ssm_study.data.look import LogOverview
 
 
-def draw_log(log: "LogLook") -> "Figure":
+def draw_log(log: "LogOverview") -> "Figure":
     """Draw the signals of a log over time, the outputs above the inputs, and measured disturbances
     below both. Gaps of the log stay white."""
     from matplotlib.figure import Figure

@@ -260,7 +260,7 @@ def recompute_fresh_data_column(
     assert isinstance(specification.data, SimulatedData)
     assert specification.plant is not None
     start_up = run.model_run.validation.start_up_samples
-    fresh = specification.data.simulate_fresh_sets(specification.plant, specification.seed)
+    fresh = specification.data.simulate_held_out_records(specification.plant, specification.seed)
     return coverage_needed_column(
         relative_radii_for_further_data(run.design, run.model, spectra, mismatch, fresh, start_up)
     )

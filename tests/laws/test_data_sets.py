@@ -132,8 +132,8 @@ def test_fresh_data_sets_are_like_the_first_and_none_of_them() -> None:
     plant = from_yaml("plant", "dc_motor")
     made = from_yaml("data", "simulated", *SMALL, "fresh_sets=2")
     own = made.build(plant, from_yaml("excitation", "aprbs"), 0)
-    first, second = made.simulate_fresh_sets(plant, 0)
-    fresh_sets = made.simulate_fresh_sets(plant, 0)
+    first, second = made.simulate_held_out_records(plant, 0)
+    fresh_sets = made.simulate_held_out_records(plant, 0)
     again = next(fresh_sets)
     names = [record.name for record in own.mismatch_records]
     assert [record.name for record in first.mismatch_records] == names

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ssm_study.data.look import LogLook, look
+from ssm_study.data.look import LogOverview, look
 from ssm_study.data.recorded import RecordedData
 
 SHARED = Path(__file__).parents[3] / "shared"
@@ -51,7 +51,7 @@ KNOWN_SETTINGS = ("model.feedthrough=true", "model.integrating_output=true")
 
 
 @pytest.fixture(scope="module")
-def looks() -> dict[str, LogLook]:
+def looks() -> dict[str, LogOverview]:
     """Each log once, its input and output named as its source names them."""
     outcomes = {}
     for name, (u, y) in SIGNALS.items():
@@ -78,7 +78,7 @@ def test_the_plain_command_reads_it(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SIGNALS)
-def test_look_says_what_is_known(name: str, looks: dict[str, LogLook]) -> None:
+def test_look_says_what_is_known(name: str, looks: dict[str, LogOverview]) -> None:
     log_look = looks[name]
     text = str(log_look)
     for sentence in SAYS[name]:
@@ -90,7 +90,7 @@ def test_look_says_what_is_known(name: str, looks: dict[str, LogLook]) -> None:
 
 
 @pytest.mark.parametrize("name", GUESSED)
-def test_input_and_output_are_guessed(name: str, looks: dict[str, LogLook]) -> None:
+def test_input_and_output_are_guessed(name: str, looks: dict[str, LogOverview]) -> None:
     """The ship is left out: of its eleven nameless columns the input alone can be told."""
     guessed = look(FOLDER / name)
     u, y = SIGNALS[name]

@@ -7,7 +7,11 @@ import pandas as pd
 import pytest
 
 import ssm_study as st
-from ssm_study.data.arrays import check_time_index, signal_array_and_names, write_log_files
+from ssm_study.data.arrays import (
+    require_consistent_time_indexes,
+    signal_array_and_names,
+    write_log_files,
+)
 from ssm_study.refusal import BadRequest
 
 T = 2000
@@ -124,7 +128,7 @@ def test_an_index_that_agrees_or_counts_rows_is_taken() -> None:
             warnings.simplefilter("error")
             u = pd.Series(U, index=index)
             y = pd.Series(Y, index=index)
-            check_time_index(u, y, 0.01)
+            require_consistent_time_indexes(u, y, 0.01)
 
 
 def two_inputs() -> tuple[pd.DataFrame, pd.DataFrame]:

@@ -34,7 +34,7 @@ def compute_fresh_data(
     records. Nothing is simulated without a coverage certificate."""
     model = model_run.model
     spectra = recorded_error_spectra(model, records, mismatch)
-    fresh = data.simulate_fresh_sets(plant, seed)
+    fresh = data.simulate_held_out_records(plant, seed)
     needs = relative_radii_for_further_data(
         design, model, spectra, mismatch, fresh, records.start_up_samples
     )
