@@ -201,7 +201,8 @@ GROUPS = {
         + modules_of("synthesis", "measured_discs_program", "measured_discs_search")
         + modules_of("synthesis", "measured_discs_weights", "measured_discs_run")
         + theorems("measured_discs", "measured_discs_structured"),
-        tests="tests/oracles/test_measured_discs.py tests/oracles/test_coverage.py "
+        tests="tests/oracles/test_coverage_items.py "
+        "tests/oracles/test_measured_discs.py tests/oracles/test_coverage.py "
         "tests/oracles/test_theorem_conditions.py",
         planted=20,
     ),

@@ -331,7 +331,8 @@ def test_the_set_point_of_a_pi_obeys_its_law() -> None:
     u = np.array(inputs)[:, None]
     log = Trajectory(u=u, y=y[:, None], step_s=step_s)
     found = reconstruct_pi_set_point(log, gain, integral_s)
-    np.testing.assert_allclose(found[:, 0], r, atol=1e-9)
+    actual = found[:, 0]
+    np.testing.assert_allclose(actual, r, atol=1e-9)
 
 
 def test_a_pi_at_its_limits_is_refused_from_two_percent_on() -> None:

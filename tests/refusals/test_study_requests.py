@@ -20,89 +20,98 @@ from ssm_study.study.line import STUDY
 RECORDED = ("experiment=paper", "data=recorded", "data.input=u", "data.output=y")
 
 
-WRONG = {
-    "model.order": ["model.order=0"],
-    "data.samples": ["data.samples=many"],
-    "did you mean model.order?": ["model.ordr=4"],
-    "did you mean results_dir?": ["result_dir=/elsewhere"],  # a path is no choice of a file
-    "experiment/nope; choose among": ["experiment=nope"],
-    "did you mean plant=dc_motor?": ["plant=dc_moter"],
-    "did you mean experiment?": ["exp=paper"],
-    "did you mean reference@loop.reference=step?": ["synthesis=riccati", "reference=step"],
-    "did you mean scaffold@model.scaffold_in=mlp or scaffold@model.scaffold_out=mlp?": [
-        "scaffold=mlp"
-    ],
-    "did you mean +comparison@loop.comparison=peers?": ["comparison=peers"],
-    "data=recorded has it: add data=recorded": ["data.path=log.csv"],
-    "did you mean data.path?": ["data=recorded", "data.pth=log.csv"],
-    "add -m to sweep": ["model.order=4,8"],
-    "write model.order=VALUE": ["--model.order", "4"],
-    "write seed=VALUE": ["--seed=4"],
-    "use `ssm-study reproduce RUN`": ["--experimental-rerun", "config.pickle"],
-    "--experimental-r=config.pickle": ["--experimental-r=config.pickle"],
-    "study": ["study=../elsewhere"],
-    "data.input": ["data=recorded", "data.path=somewhere.csv"],
-    "no such file": [*RECORDED, "data.path=/nowhere/log.csv"],
-    "unrecognized arguments": ["--nonsense"],
-    "training.optimiser.nonsense": ["+training.optimiser.nonsense=1"],
-    "plant._target_": ["plant._target_=os.system"],
-    "retry_failed": ["experiment=smoke", "--retry-failed"],
-    "excitation.path": ["excitation=file"],
-    "synthesis.rate_controller = nan: is not a finite number": [
-        "synthesis=riccati",
-        "synthesis.rate_controller=nan",
-    ],
-    "excitation.amplitude = -inf: is not a finite number": ["excitation.amplitude=-inf"],
-    "synthesis.rate = nan: is not a finite number; leave": ["-m", "synthesis.rate=0.1,nan"],
-    "loop.input_lower.1 = inf: is not a finite number": ["-m", "loop.input_lower=[-1,inf],[-1,-1]"],
-    "training.optimiser = sgd: is not a part of the configuration": ["training.optimiser=sgd"],
-    "seed=0,,1 cannot be read": ["-m", "seed=0,,1"],
-    "model.order cannot be read": ["model.order"],
-    "study='x cannot be read": ["study='x"],
-    "a group takes the name of one of its choices": ["plant=null"],
-    "--dryrun: there is no such option; did you mean --dry-run?": ["--dryrun"],
-    "training.accelerator = none: not available on this machine": ["training.accelerator=none"],
-    "to run again": ["-m", "experiment=smoke", "seed=0,1", "--retry-failed"],
-}
+WRONG: dict[str, list[str]] = {}
+WRONG["model.order"] = ["model.order=0"]
+WRONG["data.samples"] = ["data.samples=many"]
+WRONG["did you mean model.order?"] = ["model.ordr=4"]
+WRONG["did you mean results_dir?"] = ["result_dir=/elsewhere"]  # a path is no choice of a file
+WRONG["experiment/nope; choose among"] = ["experiment=nope"]
+WRONG["did you mean plant=dc_motor?"] = ["plant=dc_moter"]
+WRONG["did you mean experiment?"] = ["exp=paper"]
+WRONG["did you mean reference@loop.reference=step?"] = ["synthesis=riccati", "reference=step"]
+WRONG["did you mean scaffold@model.scaffold_in=mlp or scaffold@model.scaffold_out=mlp?"] = [
+    "scaffold=mlp"
+]
+WRONG["did you mean +comparison@loop.comparison=peers?"] = ["comparison=peers"]
+WRONG["data=recorded has it: add data=recorded"] = ["data.path=log.csv"]
+WRONG["did you mean data.path?"] = ["data=recorded", "data.pth=log.csv"]
+WRONG["add -m to sweep"] = ["model.order=4,8"]
+WRONG["write model.order=VALUE"] = ["--model.order", "4"]
+WRONG["write seed=VALUE"] = ["--seed=4"]
+WRONG["use `ssm-study reproduce RUN`"] = ["--experimental-rerun", "config.pickle"]
+WRONG["--experimental-r=config.pickle"] = ["--experimental-r=config.pickle"]
+WRONG["study"] = ["study=../elsewhere"]
+WRONG["data.input"] = ["data=recorded", "data.path=somewhere.csv"]
+WRONG["no such file"] = [*RECORDED, "data.path=/nowhere/log.csv"]
+WRONG["unrecognized arguments"] = ["--nonsense"]
+WRONG["training.optimiser.nonsense"] = ["+training.optimiser.nonsense=1"]
+WRONG["plant._target_"] = ["plant._target_=os.system"]
+WRONG["retry_failed"] = ["experiment=smoke", "--retry-failed"]
+WRONG["excitation.path"] = ["excitation=file"]
+WRONG["synthesis.rate_controller = nan: is not a finite number"] = [
+    "synthesis=riccati",
+    "synthesis.rate_controller=nan",
+]
+WRONG["excitation.amplitude = -inf: is not a finite number"] = ["excitation.amplitude=-inf"]
+WRONG["synthesis.rate = nan: is not a finite number; leave"] = ["-m", "synthesis.rate=0.1,nan"]
+WRONG["loop.input_lower.1 = inf: is not a finite number"] = [
+    "-m",
+    "loop.input_lower=[-1,inf],[-1,-1]",
+]
+WRONG["training.optimiser = sgd: is not a part of the configuration"] = ["training.optimiser=sgd"]
+WRONG["seed=0,,1 cannot be read"] = ["-m", "seed=0,,1"]
+WRONG["model.order cannot be read"] = ["model.order"]
+WRONG["study='x cannot be read"] = ["study='x"]
+WRONG["a group takes the name of one of its choices"] = ["plant=null"]
+WRONG["--dryrun: there is no such option; did you mean --dry-run?"] = ["--dryrun"]
+WRONG["training.accelerator = none: not available on this machine"] = ["training.accelerator=none"]
+WRONG["to run again"] = ["-m", "experiment=smoke", "seed=0,1", "--retry-failed"]
 
 # Values that the parts of a study refuse when they are built: one sentence is made of each as of
 # the first of WRONG.
-VALUES = {
-    "model.order = -2": ["model.order=-2"],
-    "model.order = 2.5": ["model.order=2.5"],
-    "model.real_modes = 2: ": ["model.start=ring", "model.order=5", "model.real_modes=2"],
-    "model.hidden_width": ["model.hidden_width=0"],
-    "model.slope_lower, model.slope_upper": ["model.slope_lower=0.5", "model.slope_upper=0.2"],
-    "model.slope_lower": ["model.slope_lower=0"],
-    "synthesis.rate_controller": ["synthesis=riccati", "synthesis.rate_controller=1.5"],
-    "synthesis.rate_observer": ["synthesis=lmi", "synthesis.rate_observer=0"],
-    "loop.measurement_noise_variance": ["loop.measurement_noise_variance=-1"],
-    "data.noise_variance": ["data.noise_variance=-0.1"],
-    "seed": ["seed=-1"],
-    "loop_seed": ["loop_seed=-1"],
-    "model.feedthrough = True: the loop samples": ["model.feedthrough=true"],
-    "model.hidden_width = 10000000": ["model.hidden_width=10000000"],
-    "model.order = 1000000": ["model.order=1000000"],
-    "data.trajectories = 1000000000": ["data.trajectories=1000000000"],
-    "data.samples = 1000000000": ["data.samples=1000000000"],
-    "data.trajectories * samples = 200000000": ["data.trajectories=20000", "data.samples=10000"],
-    "loop.initial_conditions * horizon_s / step_s": ["loop.horizon_s=1e12"],
-    "reduction.truncate_to = 99: the model has 4": ["reduction.truncate_to=99"],
-    "synthesis.rate_observer = 0.9999999999999999": ["synthesis.rate_observer=0.9999999999999999"],
-    "synthesis.rate_controller = 0.9999999999999999": [
-        "synthesis=riccati",
-        "synthesis.rate_controller=0.9999999999999999",
-    ],
-    "loop.input_lower, loop.input_upper = (3.0, -3.0)": [
-        "loop.input_lower=3",
-        "loop.input_upper=-3",
-    ],
-    "the plant rests at the input 0; choose limits around it": [
-        "loop.input_lower=1",
-        "loop.input_upper=3",
-    ],
-    "the plant's inputs number 1": ["loop.input_lower=[-1.0,-2.0]", "loop.input_upper=[1.0,2.0]"],
-}
+VALUES: dict[str, list[str]] = {}
+VALUES["model.order = -2"] = ["model.order=-2"]
+VALUES["model.order = 2.5"] = ["model.order=2.5"]
+VALUES["model.real_modes = 2: "] = ["model.start=ring", "model.order=5", "model.real_modes=2"]
+VALUES["model.hidden_width"] = ["model.hidden_width=0"]
+VALUES["model.slope_lower, model.slope_upper"] = ["model.slope_lower=0.5", "model.slope_upper=0.2"]
+VALUES["model.slope_lower"] = ["model.slope_lower=0"]
+VALUES["synthesis.rate_controller"] = ["synthesis=riccati", "synthesis.rate_controller=1.5"]
+VALUES["synthesis.rate_observer"] = ["synthesis=lmi", "synthesis.rate_observer=0"]
+VALUES["loop.measurement_noise_variance"] = ["loop.measurement_noise_variance=-1"]
+VALUES["data.noise_variance"] = ["data.noise_variance=-0.1"]
+VALUES["seed"] = ["seed=-1"]
+VALUES["loop_seed"] = ["loop_seed=-1"]
+VALUES["model.feedthrough = True: the loop samples"] = ["model.feedthrough=true"]
+VALUES["model.hidden_width = 10000000"] = ["model.hidden_width=10000000"]
+VALUES["model.order = 1000000"] = ["model.order=1000000"]
+VALUES["data.trajectories = 1000000000"] = ["data.trajectories=1000000000"]
+VALUES["data.samples = 1000000000"] = ["data.samples=1000000000"]
+VALUES["data.trajectories * samples = 200000000"] = [
+    "data.trajectories=20000",
+    "data.samples=10000",
+]
+VALUES["loop.initial_conditions * horizon_s / step_s"] = ["loop.horizon_s=1e12"]
+VALUES["reduction.truncate_to = 99: the model has 4"] = ["reduction.truncate_to=99"]
+VALUES["synthesis.rate_observer = 0.9999999999999999"] = [
+    "synthesis.rate_observer=0.9999999999999999"
+]
+VALUES["synthesis.rate_controller = 0.9999999999999999"] = [
+    "synthesis=riccati",
+    "synthesis.rate_controller=0.9999999999999999",
+]
+VALUES["loop.input_lower, loop.input_upper = (3.0, -3.0)"] = [
+    "loop.input_lower=3",
+    "loop.input_upper=-3",
+]
+VALUES["the plant rests at the input 0; choose limits around it"] = [
+    "loop.input_lower=1",
+    "loop.input_upper=3",
+]
+VALUES["the plant's inputs number 1"] = [
+    "loop.input_lower=[-1.0,-2.0]",
+    "loop.input_upper=[1.0,2.0]",
+]
 
 
 def refused(overrides: list[str], results: Path, capfd: pytest.CaptureFixture[str]) -> str:
