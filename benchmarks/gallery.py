@@ -90,7 +90,7 @@ def _entry(name: str, studies: Sequence[Path]) -> str:
     picture = REFERENCE.get(name) or _drawn(name, studies)
     python = PYTHON.get(name)
     drawn_by = f"`{lines[0]}`" + (f" or `{python}`" if python else "")
-    caption = figures.caption(name)
+    caption = figures.figure_caption(name)
     return f"### {name}\n\n![{name}]({picture})\n\n{caption}\n\n{drawn_by}\n"
 
 

@@ -58,7 +58,7 @@ def loops(folder: Path, situation: str):
     files = RunFiles(path=folder, record=read_record(folder))
     reference, disturbance = SITUATIONS[situation]
     asked = {"reference": reference, "disturbance": disturbance, "horizon_s": HORIZON_S}
-    loop = replace(files.loop, **asked, measurement_noise_variance=0.0)
+    loop = replace(files.loop_experiment, **asked, measurement_noise_variance=0.0)
     return files, loop.run_on_plant(
         files.plant, ObserverFeedback.from_design(files.model, files.design), seed=0
     ).controlled

@@ -45,13 +45,13 @@ def iterations(folder: Path, settings: list[str]) -> list[Path]:
     """The first run and those that `refine` makes of it, in order."""
     from ssm_study.cli.from_python import compose_configuration
     from ssm_study.study.line import STUDY
-    from ssm_study.study.refine import refine
+    from ssm_study.study.refine import refine_controller
 
     config = compose_configuration([*HIDDEN, f"results_dir={folder}", *settings])
     with open_dict(config):
         config.plant = PLANT
     runs = [STUDY.run_job(config).folder]
-    for step in refine(runs[0]):
+    for step in refine_controller(runs[0]):
         print(step.said)
         runs += [runs[0].parent / step.config.run] if step.config is not None else []
     return runs

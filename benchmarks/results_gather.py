@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ssm_study.engine.provenance import provenance
+from ssm_study.engine.provenance import provenance_columns
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.table.columns import COLUMNS
 from ssm_study.table.gather import gather
@@ -43,7 +43,7 @@ def make(study: Path, runs: int) -> None:
         for what in ("key", "seconds")
     }
     common: dict[str, Any] = {column.name: VALUES[column.kind] for column in COLUMNS} | stages
-    common |= provenance(("numpy", "torch"), Path(__file__))
+    common |= provenance_columns(("numpy", "torch"), Path(__file__))
     for number in range(runs):
         folder = study / f"order{number % 12}-width32-seed{number}-{number:010x}"
         folder.mkdir(parents=True)

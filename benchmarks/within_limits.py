@@ -68,14 +68,14 @@ def run(to: Path) -> None:
 def loops(files: RunFiles, integral: bool) -> tuple[Design, LoopRuns, LoopRuns]:
     """The certified law within its limits, and the same law in front of a clamp that it is not told
     of; no noise."""
-    plant, model, (low, high) = files.plant, files.model, files.loop.limits
+    plant, model, (low, high) = files.plant, files.model, files.loop_experiment.limits
     design = files.design
     if integral:
         design = replace(INTEGRAL, internal_model=["step"], integral_weight=1e-2).design(
             model, certified_balls(model)
         )
     law = ObserverFeedback.from_design(model, design)
-    fitted = files.loop.with_default_horizon(model)
+    fitted = files.loop_experiment.with_default_horizon(model)
     quiet = replace(
         fitted, measurement_noise_variance=0.0, horizon_s=(4 if integral else 1) * fitted.horizon_s
     )

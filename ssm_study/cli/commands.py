@@ -165,11 +165,11 @@ def verify_run(options: argparse.Namespace) -> int:
 def refine_run(options: argparse.Namespace) -> int:
     """Refine a run's controller by closed-loop trials, and print one line for each step."""
     from ssm_study.cli.summary import print_run_summary
-    from ssm_study.study.refine import refine
+    from ssm_study.study.refine import refine_controller
 
     require_at_least(1, "--times", options.times, "use 4 or so")
     last_config = None
-    for step in refine(options.run, options.record, options.times):
+    for step in refine_controller(options.run, options.record, options.times):
         print(step.said, flush=True)
         last_config = step.config or last_config
     failed = last_config is not None and print_run_summary(last_config)

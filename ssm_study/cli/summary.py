@@ -119,7 +119,7 @@ def _outcome_text(
     )
     with page.capture() as captured:
         drawn_figures = [path for path in printed_figures if path.is_file()]
-        facts = RunFacts.read(study / str(record.get("run")))
+        facts = RunFacts.from_run_folder(study / str(record.get("run")))
         print_outcome(record, drawn_figures, page, facts)
     return captured.get().rstrip("\n")
 

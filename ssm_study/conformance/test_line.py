@@ -111,7 +111,7 @@ def test_every_choice_runs_to_a_results_table(
         assert record["infeasible_reason"]
     assert [finding for finding in verify(path.parent) if not finding.holds] == []
     for name in extension_modules("figures"):
-        assert figures.caption(name)
+        assert figures.figure_caption(name)
         for picture in figures.draw_figures([name], shared_results / study):
             assert picture.stat().st_size > 0
 

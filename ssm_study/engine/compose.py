@@ -190,7 +190,7 @@ class SharedConfiguration:
             self.held[path] = type(node) is AnyNode
         return self.held[path]
 
-    def settings(self, values: dict[str, Any]) -> Settings:
+    def job_settings(self, values: dict[str, Any]) -> Settings:
         """Settings of one job of a sweep, made by putting the job's values into the shared
         configuration. Unchanged sections are shared between jobs."""
         assert self.settings_in_run_name is not None
@@ -247,7 +247,7 @@ class Composer:
         self.parsed: dict[str, tuple[Override, bool]] = {}
         self.composed: dict[tuple[str, ...], SharedConfiguration] = {}
 
-    def compose(self, overrides: list[str], number: int | None = None) -> DictConfig:
+    def compose_configuration(self, overrides: list[str], number: int | None = None) -> DictConfig:
         """Compose the whole configuration of one job of a sweep, including Hydra's section. The
         next call may return the same object with other values."""
         chosen, values = self._split_overrides(overrides)
@@ -275,8 +275,8 @@ class Composer:
         chosen, values = self._split_overrides(overrides)
         if chosen.settings_in_run_name is not None:
             by_path = {str(override.key_or_group): override.value() for override in values}
-            return chosen.settings(by_path)
-        config = self.compose(overrides, number)
+            return chosen.job_settings(by_path)
+        config = self.compose_configuration(overrides, number)
         set_hydra_config(config)
         return plain_settings(config)
 

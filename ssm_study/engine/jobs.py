@@ -95,7 +95,7 @@ def run_job(job: Job, composer: Composer, task: Task[Any], hydra_context: HydraC
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(str(OUT_OF_MEMORY_SCORE))
     _redirect_output(job.folder)  # first of all: what goes wrong from here on is in the log
-    config = composer.compose(job.overrides, job.number)
+    config = composer.compose_configuration(job.overrides, job.number)
     with read_write(config.hydra.runtime), open_dict(config.hydra.runtime):
         config.hydra.runtime.output_dir = str(job.folder)
     set_hydra_config(config)

@@ -11,7 +11,7 @@ from typing import Any
 
 
 @cache
-def provenance(libraries: tuple[str, ...], source: Path) -> dict[str, Any]:
+def provenance_columns(libraries: tuple[str, ...], source: Path) -> dict[str, Any]:
     """Columns of a record that say how a result was made: commit, versions, machine and threads.
     `git_commit` and `git_dirty` are None where no repository tracks the file `source`."""
     source = source.resolve()

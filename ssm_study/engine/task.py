@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 
 from ssm_study.durable import sha256_of_file
 from ssm_study.engine.plan import plan_lines
-from ssm_study.engine.provenance import provenance
+from ssm_study.engine.provenance import provenance_columns
 from ssm_study.engine.runs import (
     Outcome,
     Run,
@@ -90,7 +90,7 @@ class Task(ABC, Generic[R]):
 
     def provenance(self) -> Facts:
         """Columns that say how results were made: commit, versions and machine."""
-        return provenance(self.libraries, Path(inspect.getfile(type(self))))
+        return provenance_columns(self.libraries, Path(inspect.getfile(type(self))))
 
     def settings(self, config: DictConfig | Settings) -> Settings:
         """Convert a configuration to plain settings, after a check for forbidden content. Raises

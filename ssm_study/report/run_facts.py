@@ -31,7 +31,7 @@ class RunFacts:
     own_theorems: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
-    def read(cls, run: Path) -> "RunFacts":
+    def from_run_folder(cls, run: Path) -> "RunFacts":
         """Read sampling time, units and set points from a run folder."""
         from ssm_study.export.set_points import missing_set_points_reason
 

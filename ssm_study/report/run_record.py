@@ -22,7 +22,7 @@ def print_run(run_folder: Path, console: Console) -> None:
     if holds_rest_design(run_folder):
         refuse_foreign_files(run_folder)
     record = read_record(run_folder) or {}
-    print_outcome(record, (), console, RunFacts.read(run_folder))
+    print_outcome(record, (), console, RunFacts.from_run_folder(run_folder))
     console.print()
     console.print(record_table(record), width=min(WIDTH, console.width))
 

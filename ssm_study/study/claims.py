@@ -175,9 +175,9 @@ def excitation_pairs(run: RunFiles, records: DataSet) -> dict[str, tuple[Any, An
     inputs = [record.u for record in records.training]
     pairs = name_value_pairs(run.recorded_training_inputs, inputs, "u ")
     recomputed = [record.d for record in records.training if record.d is not None]
-    pairs["disturbances"] = (len(run.disturbances), len(recomputed))
-    if len(run.disturbances) == len(recomputed):
-        pairs |= name_value_pairs(run.disturbances, recomputed, "d ")
+    pairs["disturbances"] = (len(run.training_disturbances), len(recomputed))
+    if len(run.training_disturbances) == len(recomputed):
+        pairs |= name_value_pairs(run.training_disturbances, recomputed, "d ")
     return pairs
 
 
@@ -251,7 +251,7 @@ def check_loops(run: RunFiles) -> Claims:
     controller = ObserverFeedback.from_design(run.model, run.design)
     stored, loop_on = read_loop_recordings(run.path)
     yield from check_loop_signals(run, controller, stored, loop_on)
-    fitted = run.loop.with_default_horizon(run.model)
+    fitted = run.loop_experiment.with_default_horizon(run.model)
     on_model = fitted.run_on_model(run.plant, controller, stored.controlled.y[:, 0])
     pairs: dict[str, tuple[Rollouts | None, Rollouts | None]] = {
         "closed_loop_model.mcap": (stored.on_model, on_model)
@@ -304,7 +304,7 @@ def check_loop_signals(
 ) -> Iterator[CheckedClaim]:
     """Check that the controller, fed with the recorded output of a closed loop, computes the
     recorded input. What the loop was closed on is checked, too."""
-    error = replay_error(controller, stored.controlled, run.loop.limits)
+    error = replay_error(controller, stored.controlled, run.loop_experiment.limits)
     observation = f"the certified gains give it from the measured output to {error:.1e}"
     yield CheckedClaim(claim="closed_loop.mcap input", holds=error <= ITERATED, found=observation)
     holds = loop_on == loop_place_label(run.specification.plant)

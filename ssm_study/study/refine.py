@@ -39,7 +39,9 @@ class RefinementStep:
     config: DictConfig | None = None
 
 
-def refine(run: Path, log: Path | None = None, iterations: int = TIMES) -> Iterator[RefinementStep]:
+def refine_controller(
+    run: Path, log: Path | None = None, iterations: int = TIMES
+) -> Iterator[RefinementStep]:
     """Improve the controller of a run repeatedly by closed-loop trials, and yield a sentence on
     each new run and on the end.
 

@@ -178,7 +178,7 @@ class RunFiles:
         return [signal.values for signal in recording.signals("input")]
 
     @cached_property
-    def disturbances(self) -> list[Float[np.ndarray, "_ k"]]:
+    def training_disturbances(self) -> list[Float[np.ndarray, "_ k"]]:
         """Measured disturbances of a run's training records, as stored in `excitation.mcap`; empty
         if there are none."""
         cases = RecordedCases.from_file(self.path / "excitation.mcap").cases.values()
@@ -226,7 +226,7 @@ class RunFiles:
         return tuple(angles[:PEAKS])
 
     @property
-    def loop(self) -> LoopExperiment:
+    def loop_experiment(self) -> LoopExperiment:
         """Settings of the closed-loop experiment of a run. Without a plant, its input limits are
         the input range of the log."""
         loop = self.specification.loop

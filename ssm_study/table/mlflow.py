@@ -64,8 +64,8 @@ def _write_run(client: Any, experiment: str, study: Path, row: dict[str, Any]) -
     """Write one run of a study to MLflow: its metrics, parameters and files."""
     from mlflow.entities import Metric, Param
 
-    start = _milliseconds(row.get("started_utc"))
-    end = _milliseconds(row.get("ended_utc"))
+    start = _milliseconds_since_1970(row.get("started_utc"))
+    end = _milliseconds_since_1970(row.get("ended_utc"))
     run = client.create_run(experiment, start_time=start, run_name=row["run"])
     number = run.info.run_id
     scored = [name for name in row if _is_metric(name)]
@@ -93,7 +93,7 @@ def _is_metric(name: str) -> bool:
     return column is not None and bool(column.better) and column.kind != "string"
 
 
-def _milliseconds(time: str | None) -> int | None:
+def _milliseconds_since_1970(time: str | None) -> int | None:
     """Milliseconds since 1970 of a time in ISO format; None if there is no time."""
     if not time:
         return None

@@ -15,7 +15,7 @@ def test_the_tutorials_first_outcome_holds(smoke_run: Path) -> None:
     text = (smoke_run / "record.json").read_text()
     record = json.loads(text)
     on_page = outcome_on_page("tutorial.md", "Run                          smoke/")
-    assert_outcome_holds(on_page, printed_outcome(record, RunFacts.read(smoke_run)))
+    assert_outcome_holds(on_page, printed_outcome(record, RunFacts.from_run_folder(smoke_run)))
 
 
 def test_another_number_or_word_is_noticed(smoke_run: Path) -> None:

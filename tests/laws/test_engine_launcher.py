@@ -334,7 +334,7 @@ def test_shared_compositions_are_hydras_own() -> None:
         for overrides, theirs in [*zip(JOBS, hydras_own, strict=True)] * 2:
             set_hydra_config(theirs)
             settings = composer.compose_settings(overrides, 0)
-            dict_config = composer.compose(overrides, 0)
+            dict_config = composer.compose_configuration(overrides, 0)
             ours = OmegaConf.to_container(dict_config, resolve=False)
             assert ours == OmegaConf.to_container(theirs, resolve=False)
             set_hydra_config(theirs)

@@ -12,7 +12,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from ssm_study.engine import settings as naming
-from ssm_study.engine.provenance import provenance
+from ssm_study.engine.provenance import provenance_columns
 from ssm_study.engine.records import RECORD, parse_record, read_record, write_record
 from ssm_study.engine.runs import Run, execute_run, record_with_status
 from ssm_study.engine.store import read_intact_manifest
@@ -58,7 +58,7 @@ def test_a_finished_run_is_recorded_and_never_touched_again(tmp_path: Path) -> N
 
 
 def test_the_record_is_flat_strict_json_with_provenance(tmp_path: Path) -> None:
-    about = provenance(("torch", "no-such-library"), Path(__file__))
+    about = provenance_columns(("torch", "no-such-library"), Path(__file__))
     run_path = tmp_path / "study" / "run"
     execute_run(run_path, {"seed": 3}, good, provenance=about)
     text = (run_path / RECORD).read_text()

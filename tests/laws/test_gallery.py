@@ -39,7 +39,7 @@ def test_every_figure_is_in_the_gallery_once() -> None:
 def test_its_picture_lies_there_and_its_caption_is_todays(name: str) -> None:
     picture = (ROOT / "docs" / ENTRIES[name]).resolve()
     assert picture.read_bytes().startswith(b"\x89PNG")
-    assert figures.caption(name) in PAGE
+    assert figures.figure_caption(name) in PAGE
     assert f"`ssm-study report STUDY --only {name}`" in PAGE
 
 

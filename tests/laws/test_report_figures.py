@@ -82,7 +82,7 @@ def test_a_figure_is_saved_twice_has_a_paper_width_and_a_unit_on_every_axis(
     png, pdf = figures.draw_figures([name], study)
     assert png.read_bytes().startswith(b"\x89PNG")
     assert pdf.read_bytes().startswith(b"%PDF")
-    entry = f"![{name}]({name}.png)\n\n**{name}.** {figures.caption(name)}"
+    entry = f"![{name}]({name}.png)\n\n**{name}.** {figures.figure_caption(name)}"
     assert entry in png.with_name("captions.md").read_text()
     (figure,) = saved
     assert figure.get_size_inches()[0] in (style.COLUMN_IN, style.PAGE_IN)
@@ -274,7 +274,7 @@ UNITLESS = {"Sample", "Epoch", "Balanced state", "Controller", "Situation"}
 
 def test_every_figure_has_a_caption() -> None:
     for name in figures.figure_names():
-        assert figures.caption(name).endswith("."), name
+        assert figures.figure_caption(name).endswith("."), name
 
 
 def test_an_unknown_figure_is_refused_with_the_choices(studies: dict[str, Path]) -> None:
@@ -343,7 +343,7 @@ LONGEST_SENTENCE = 30  # words
 @pytest.mark.parametrize("name", figures.figure_names())
 def test_a_caption_says_one_thing_a_sentence(name: str) -> None:
     """certified_decay had one sentence of five clauses."""
-    text = figures.caption(name)
+    text = figures.figure_caption(name)
     for sentence in text.removesuffix(".").split(". "):
         words = sentence.split()
         assert len(words) <= LONGEST_SENTENCE, sentence

@@ -27,7 +27,7 @@ def test_the_page_holds(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> No
     assert record["predicted_stable"] is True
     assert record["controller_certified"] is True
     on_page = outcome_on_page("log_to_device.md", "MODEL")
-    assert_outcome_holds(on_page, printed_outcome(record, RunFacts.read(path.parent)))
+    assert_outcome_holds(on_page, printed_outcome(record, RunFacts.from_run_folder(path.parent)))
     assert record["coverage"] > record["coverage_needed"] > 1
     assert said["replay"].startswith("0 of 200 inputs differ, the largest by 0")
     trial = pd.read_csv(tmp_path / "first_trial.csv")

@@ -19,7 +19,7 @@ from ssm_study.engine.runs import write_run_manifest
 from ssm_study.refusal import BadRequest
 from ssm_study.study import allow_list
 from ssm_study.study.line import STUDY
-from ssm_study.study.refine import _measure_trial, refine
+from ssm_study.study.refine import _measure_trial, refine_controller
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.trials import TRIED, refined_run_name
 from ssm_study.study.verify import verify
@@ -82,7 +82,7 @@ def first(hidden: DictConfig) -> Path:
 
 @pytest.fixture(scope="module")
 def steps(first: Path) -> list:
-    return list(refine(first))
+    return list(refine_controller(first))
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +143,7 @@ def test_where_the_loop_rests_nothing_is_chosen_again(second, smoke_run):
     for run in (second, smoke_run):
         paths = run.parent.glob("*/record.json")
         before = sorted(paths)
-        (step,) = refine(run)
+        (step,) = refine_controller(run)
         assert step.config is None
         assert "comes to rest" in step.said
         paths = sorted(run.parent.glob("*/record.json"))
@@ -218,12 +218,12 @@ def test_the_log_of_a_trial_that_oscillates_changes_the_choice(logged, tmp_path,
     text = log.read_text()
     log.write_text(text + "0,0\n")
     with pytest.raises(BadRequest, match=r"trial\.csv changed since this run was done"):
-        STUDY.run_job(next(step.config for step in refine(logged, log)))
+        STUDY.run_job(next(step.config for step in refine_controller(logged, log)))
 
 
 def test_the_log_of_a_trial_that_rests_changes_nothing(logged, tmp_path):
     log = trial(logged, tmp_path / "rests.csv", 0.0)
-    (step,) = refine(logged, log)
+    (step,) = refine_controller(logged, log)
     assert "comes to rest" in step.said
 
 
@@ -244,7 +244,7 @@ def test_a_run_that_cannot_be_refined_is_refused(logged, first, tmp_path):
     }
     for said, (run, log) in refused.items():
         with pytest.raises(BadRequest, match=said):
-            list(refine(run, log))
+            list(refine_controller(run, log))
 
 
 def test_a_log_at_another_sampling_time_is_refused(logged, tmp_path):
@@ -265,7 +265,7 @@ def test_a_log_at_another_sampling_time_is_refused(logged, tmp_path):
         comments="",
     )
     with pytest.raises(BadRequest, match=r"sampling time is 0\.05 s"):
-        list(refine(run, tmp_path / "slow.csv"))
+        list(refine_controller(run, tmp_path / "slow.csv"))
 
 
 @pytest.mark.parametrize("asked", [0, -1, True, 1.5, "log.csv", ["log.csv"]])

@@ -37,7 +37,7 @@ def _figure_module(name: str) -> ModuleType:
     return import_module(f"{__name__}.{name}" if ours else extension_modules("figures")[name])
 
 
-def caption(name: str) -> str:
+def figure_caption(name: str) -> str:
     """Caption of a figure, taken from the docstring of the file that draws the figure."""
     return " ".join((_figure_module(name).__doc__ or "").split())
 
@@ -74,7 +74,7 @@ def captioned_figure(name: str, study: StudyFolder, width: style.Width = "page")
     content = BytesIO()
     with style.paper_style(width):
         draw_one_figure(name, study, width).savefig(content, format="png")
-    return CaptionedFigure(png=content.getvalue(), caption=caption(name))
+    return CaptionedFigure(png=content.getvalue(), caption=figure_caption(name))
 
 
 def draw_figures(
@@ -113,7 +113,8 @@ def draw_figures(
             figure_names()
         )
         remarks = "".join(
-            f"![{name}]({name}.png)\n\n**{name}.** {caption(name)}\n\n" for name in sorted(there)
+            f"![{name}]({name}.png)\n\n**{name}.** {figure_caption(name)}\n\n"
+            for name in sorted(there)
         )
         captions = study.folder / "figures" / "captions.md"
         write_atomically(captions, remarks.encode(), durable=False)

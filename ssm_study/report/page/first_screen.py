@@ -213,16 +213,16 @@ def outcome_remarks(record: Record) -> Iterator[Remark]:
         yield Remark(
             title=f"Evidence: {evidence_text(str(evidence), ' '.join(notes), 'below')}",
             text=support_and_doubts,
-            notes=tuple(map(capitalise, notes)),
+            notes=tuple(map(capitalise_first_letter, notes)),
             is_warning=is_warning,
         )
 
 
 def join_sentences(parts: Sequence[str]) -> str:
     """Join parts of a text to sentences, each with a capital letter first and a full stop last."""
-    return " ".join(f"{capitalise(part).rstrip('.')}." for part in parts)
+    return " ".join(f"{capitalise_first_letter(part).rstrip('.')}." for part in parts)
 
 
-def capitalise(text: str) -> str:
+def capitalise_first_letter(text: str) -> str:
     """Copy of a text with a capital first letter and the other letters unchanged."""
     return text[:1].upper() + text[1:]

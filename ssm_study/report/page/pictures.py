@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ssm_study.api.pictures.picture import Band, GuideLine, Picture, PicturePanel, Series, Values
-from ssm_study.report.figures import caption
+from ssm_study.report.figures import figure_caption
 from ssm_study.report.page.chart_looks import (
     DASH,
     STROKES,
@@ -69,7 +69,7 @@ def picture_json(name: str, picture: Picture) -> Spec:
             legend = legend_entries(panel)
             charts.append({"title": panel.title, "legend": legend, "spec": spec})
     content = {"name": name, "title": picture.title, "charts": charts}
-    content["caption"] = caption(name)
+    content["caption"] = figure_caption(name)
     return content
 
 
