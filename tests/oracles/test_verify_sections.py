@@ -82,11 +82,11 @@ def test_measured_disturbances_are_compared_where_both_sides_have_them() -> None
     u = np.zeros((3, 1))
     records = object.__new__(DataSet)
     vars(records)["training"] = [PARTS(u=u, d=u), PARTS(u=u, d=None)]
-    run = run_of(recorded_training_inputs=[u, u], disturbances=[u])
+    run = run_of(recorded_training_inputs=[u, u], training_disturbances=[u])
     pairs = excitation_pairs(run, records)
     expected = ["u 0", "u 1", "disturbances", "d 0"]
     assert list(pairs) == expected
-    run = run_of(recorded_training_inputs=[u, u], disturbances=[u, u])
+    run = run_of(recorded_training_inputs=[u, u], training_disturbances=[u, u])
     pairs = excitation_pairs(run, records)
     expected = (2, 1)
     assert pairs["disturbances"] == expected
