@@ -246,14 +246,24 @@ MADE_AGAIN = (
     "ssm_study.loop.regulation.LoopExperiment.run_design",
     "ssm_study.study.claims.model_bound_columns",
     "ssm_study.study.claims.textbook_pi_columns",
+    "ssm_study.study.design_claims.coverage_columns",
+    "ssm_study.study.design_claims.design_columns",
     "ssm_study.study.design_claims.failed_checks",
     "ssm_study.study.design_claims.faster_response_column",
     "ssm_study.study.design_claims.measure_model_error",
     "ssm_study.study.design_claims.measure_error_spectra",
     "ssm_study.study.design_claims.measure_error_with_simulated_sines",
+    "ssm_study.study.design_claims.relative_radii_for_further_data",
+    "ssm_study.study.design_claims.sine_columns",
     "ssm_study.study.run_files.collect_findings",
     "ssm_study.study.run_files.measure_model_error",
     "ssm_study.synthesis.measured_discs_run.measure_error_spectra",
+)
+
+# What `verify` reads of a recording.
+READERS = (
+    "ssm_study.study.recording_labels.list_unread_contents",
+    "ssm_study.study.recordings.read_mcap",
 )
 
 
@@ -273,7 +283,8 @@ def once(place: str) -> Callable[..., Any]:
         if key not in known:
             result = function(*given, **named)
             known[key] = tuple(result) if isinstance(result, Iterator) else result
-        return known[key]
+        # Columns are joined in place with others.
+        return dict(known[key]) if isinstance(known[key], dict) else known[key]
 
     return made
 
@@ -300,11 +311,11 @@ def made_once() -> Iterator[None]:
 
     Most files of copies of one run, each with one file changed, are alike.
     """
-    reader = "ssm_study.study.recordings.read_mcap"
     with pytest.MonkeyPatch.context() as patch:
         for place in MADE_AGAIN:
             patch.setattr(place, once(place))
-        patch.setattr(reader, once_for_content(reader))
+        for reader in READERS:
+            patch.setattr(reader, once_for_content(reader))
         yield
 
 
@@ -330,6 +341,25 @@ def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One folder for all workers of this test run; what is made there once is made under a lock."""
     base = tmp_path_factory.getbasetemp()
     return base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _compiled_by_one_worker(shared_folder: Path) -> Iterator[None]:
+    """In a fresh clone every worker needs the same machine code: one compiles it, the others read
+    what numba has stored."""
+    from filelock import FileLock
+    from numba.core.dispatcher import Dispatcher
+
+    lock = FileLock(shared_folder / "compile.lock")
+    compile_or_load = Dispatcher.compile
+
+    def compile_alone(dispatcher: Any, signature: Any) -> Any:
+        with lock:
+            return compile_or_load(dispatcher, signature)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Dispatcher, "compile", compile_alone)
+        yield
 
 
 @pytest.fixture(scope="session")

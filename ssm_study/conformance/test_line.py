@@ -1,8 +1,9 @@
 """Test that a study with any choice of any configuration group runs from data to a finished result.
-A new yaml is a new test case."""
+A new yaml is tried without being listed."""
 
 import json
 import os
+from itertools import zip_longest
 from pathlib import Path
 
 import jaxtyping
@@ -45,18 +46,47 @@ OPTIONS = {"plant": "plant", "scaffold": "scaffold@model.scaffold_in", "reductio
 
 
 def commands_of_all_choices() -> list[tuple[str, ...]]:
-    """Command-line words of one run for each choice of the configuration groups and each experiment
-    of an extension package."""
-    words: list[tuple[str, ...]] = []
+    """Command-line words of runs in which each choice of the configuration groups occurs.
+
+    Our own plants, scaffolds and reductions share their runs: the first plant runs with the first
+    scaffold and the first reduction. Each synthesis, and each choice and experiment of an extension
+    package, has a run of its own.
+    """
+    columns = []
     for group, option in OPTIONS.items():
-        words += [(*QUICK, f"{option}={name}") for name in list_choices(group)]
-    words += [
-        (*quick_synthesis_overrides(name), f"synthesis={name}")
-        for name in list_choices("synthesis")
-    ]
+        columns.append([f"{option}={name}" for name in own_choices(group)])
+    words: list[tuple[str, ...]] = []
+    for row in zip_longest(*columns):
+        words.append((*QUICK, *filter(None, row)))
+    words += [synthesis_words(name) for name in own_choices("synthesis")]
+    for group, option in OPTIONS.items():
+        words += [(*QUICK, f"{option}={name}") for name in foreign_choices(group)]
+    words += [synthesis_words(name) for name in foreign_choices("synthesis")]
     for folder in extension_configuration_folders():
         words += [(f"experiment={path.stem}",) for path in folder.glob("experiment/*.yaml")]
     return words
+
+
+def own_choices(group: str) -> list[str]:
+    """Names of the choices of a configuration group that this package brings itself."""
+    ours = configuration_folders()[0]
+    return [name for name in list_choices(group) if (ours / group / f"{name}.yaml").is_file()]
+
+
+def foreign_choices(group: str) -> list[str]:
+    """Names of the choices of a configuration group that extension packages bring."""
+    ours = own_choices(group)
+    return [name for name in list_choices(group) if name not in ours]
+
+
+def synthesis_words(name: str) -> tuple[str, ...]:
+    """Command-line words of a quick run with one choice of `synthesis/`."""
+    return (*quick_synthesis_overrides(name), f"synthesis={name}")
+
+
+def name_run(words: tuple[str, ...]) -> str:
+    """Name of a run: the choices that it makes."""
+    return " ".join(word for word in words if not word.startswith(("+", "synthesis.")))
 
 
 def quick_synthesis_overrides(synthesis: str) -> tuple[str, ...]:
@@ -95,15 +125,16 @@ def shared_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return (base.parent if is_worker else base) / "every"
 
 
-@pytest.mark.parametrize("choice", commands_of_all_choices(), ids=lambda choice: choice[-1])
+@pytest.mark.parametrize("choices", commands_of_all_choices(), ids=name_run)
 def test_every_choice_runs_to_a_results_table(
-    choice: tuple[str, ...], shared_results: Path
+    choices: tuple[str, ...], shared_results: Path
 ) -> None:
     """Every choice of a configuration group runs from data to a finished table of results."""
-    study = "".join(letter if letter.isalnum() else "_" for letter in choice[-1])
-    tiny = TINY[choice[-1].startswith("experiment=") :]
+    name = name_run(choices)
+    study = "".join(letter if letter.isalnum() else "_" for letter in name)
+    tiny = TINY[name.startswith("experiment=") :]
     place = [f"results_dir={shared_results}", f"study={study}"]
-    assert main(["run", *tiny, *choice, *place]) == 0
+    assert main(["run", *tiny, *choices, *place]) == 0
     (path,) = (shared_results / study).glob("*/record.json")
     record = json.loads(path.read_text())
     assert record["status"] in ("ok", "infeasible")

@@ -30,16 +30,15 @@ from google.protobuf.message import DecodeError
 from jaxtyping import Float, Int, UInt8
 from mcap import records
 from mcap.exceptions import McapError
-from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap_protobuf.decoder import DecoderFactory
 
+from ssm_study.data.mcap_records import iterate_mcap_records
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel
 
 CHUNK_BYTES = 65536  # limits what a crash loses
 METADATA_NAME = "ssm-study"
 NANOSECONDS = 1_000_000_000
-LARGEST = 2**28  # bytes of a recording, unpacked: what a reader may ask of the memory
 Names = tuple[str, ...]  # of a field: its own, after that of the message it is in
 DOUBLE = 1
 WITHIN = 2  # the wire types of eight bytes and of a message within
@@ -268,31 +267,6 @@ def _read_groups(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
     remedy = "record the signals as numbers"
     require(len(numeric) > 0, "path", path, "holds no topic with number fields", remedy)
     return numeric, metadata
-
-
-def iterate_mcap_records(path: Path) -> Iterator[records.McapRecord]:
-    """Iterate over the records of an MCAP file, including those in compressed chunks. Raises
-    `BadRequest` before more than `LARGEST` bytes are unpacked."""
-    unpacked = 0
-    with path.open("rb") as stream:
-        file_size = path.stat().st_size
-        reader = StreamReader(
-            stream, emit_chunks=True, validate_crcs=True, record_size_limit=file_size
-        )
-        for record in reader.records:
-            if not isinstance(record, records.Chunk):
-                yield record
-                continue
-            packed = (
-                record.compression == "zstd"
-            )  # its frame says how much it unpacks to, whatever the chunk claims
-            unpacked += max(
-                record.uncompressed_size, zstandard.frame_content_size(record.data) if packed else 0
-            )
-            remedy = "split the recording"
-            problem = f"unpacks to more than {LARGEST >> 20} MiB"
-            require(unpacked <= LARGEST, "path", path, problem, remedy)
-            yield from breakup_chunk(record, validate_crc=True)
 
 
 def _decode_groups(

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from mcap import records
 
-from ssm_study.data.mcap import METADATA_NAME, iterate_mcap_records, read_mcap
+from ssm_study.data.mcap import METADATA_NAME, read_mcap
+from ssm_study.data.mcap_records import iterate_mcap_records
 
 
 def list_unread_contents(path: Path) -> list[str]:
@@ -22,7 +23,7 @@ def list_unread_contents(path: Path) -> list[str]:
     foreign = list[str]()
     channels = dict[int, str]()
     metadata = list[str]()
-    for record in iterate_mcap_records(path):
+    for record in iterate_mcap_records(path, with_messages=False):
         if isinstance(record, records.Attachment):
             foreign.append(f"attachment {record.name}")
         elif isinstance(record, records.Metadata):
