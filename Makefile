@@ -13,16 +13,22 @@ help:
 	@echo "make docs    build the documentation site into site/, warnings are errors"
 	@echo "make clean   remove the environment and every cache (results stay)"
 
+# pip compiles each module on one core, which takes longer than to unpack it: here all cores do.
+PIP := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
+COMPILE := $(BIN)/python -m compileall -qq -j 0 .venv/lib || true # templates among them are no Python
+
 # torch goes first and alone: any looser request pulls gigabytes of GPU packages that a CPU does not need.
 .venv/.running: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt torch
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt --editable '.[report,export]'
+	$(PIP) torch
+	$(PIP) --editable '.[report,export]'
+	@$(COMPILE)
 	@touch $@
 
 # What checks and writes the project, on top of what runs it.
 .venv/.installed: .venv/.running
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt --editable '.[dev]'
+	$(PIP) --editable '.[dev]'
+	@$(COMPILE)
 	@touch $@
 
 install: .venv/.installed
