@@ -19,23 +19,6 @@ from ssm_study.report.words import SETTLED
 from ssm_study.table.rank import sort_best_first
 
 
-def test_every_chart_obeys_the_schema_of_vega_lite() -> None:
-    alt = pytest.importorskip("altair", reason="the extra `report` is not installed")
-    from ssm_study.report.page import charts
-
-    table = report_tables.table(12)
-    contents = charts.panel_contents(table)
-    specifications = [content["spec"] for content in contents]
-    specifications.append(charts.panel_specification(charts.EXPLORER, table))
-    specifications.append(charts.group_chart_specification())
-    assert len(specifications) > 5
-    for specification in specifications:
-        alt.TopLevelSpec.validate(specification)
-        specification["layer"][-1]["mark"]["type"] = "pointt"
-        with pytest.raises(Exception, match="pointt"):
-            alt.TopLevelSpec.validate(specification)
-
-
 def test_runs_whose_rate_auto_chose_are_one_group(browser: Any, tmp_path: Path) -> None:
     table = report_tables.table(12).assign(
         synthesis_method="auto", rates_chosen="controller, observer"

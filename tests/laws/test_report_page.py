@@ -371,3 +371,20 @@ def test_a_prediction_in_the_table_never_stands_without_its_doubt(opened: Any) -
     )
     expected = ["yes, doubt", "cannot judge", "yes"]
     assert opened.execute_script(script) == expected
+
+
+def test_every_chart_obeys_the_schema_of_vega_lite() -> None:
+    alt = pytest.importorskip("altair", reason="the extra `report` is not installed")
+    from ssm_study.report.page import charts
+
+    table = report_tables.table(12)
+    contents = charts.panel_contents(table)
+    specifications = [content["spec"] for content in contents]
+    specifications.append(charts.panel_specification(charts.EXPLORER, table))
+    specifications.append(charts.group_chart_specification())
+    assert len(specifications) > 5
+    for specification in specifications:
+        alt.TopLevelSpec.validate(specification)
+        specification["layer"][-1]["mark"]["type"] = "pointt"
+        with pytest.raises(Exception, match="pointt"):
+            alt.TopLevelSpec.validate(specification)
