@@ -378,9 +378,9 @@ def test_every_chart_obeys_the_schema_of_vega_lite() -> None:
     from ssm_study.report.page import charts
 
     table = report_tables.table(12)
-    contents = charts.panel_contents(table)
+    contents = charts.scatter_plot_contents(table)
     specifications = [content["spec"] for content in contents]
-    specifications.append(charts.panel_specification(charts.EXPLORER, table))
+    specifications.append(charts.scatter_plot_specification(charts.EXPLORER, table))
     specifications.append(charts.group_chart_specification())
     assert len(specifications) > 5
     for specification in specifications:
