@@ -122,8 +122,8 @@ class CodeReader:
                 self._read_module(module)
 
     def _source_symbol(self, symbol: Symbol) -> Symbol:
-        """Symbol whose source is read in place of a given one: the whole library if the symbol
-        comes from a library, or the current name if it was renamed."""
+        """Symbol whose source code is read for a given symbol: its whole library, or the current
+        name of a renamed one."""
         top = symbol[0].split(".")[0]
         if not self._is_source_read(top):
             return (top, LIBRARY)

@@ -85,8 +85,8 @@ def gather(study: Path, anew: bool = False, must_write: bool = True) -> pd.DataF
 
 
 def _write_table(study: Path, table: pd.DataFrame, marks: FileStates) -> None:
-    """Write a study's results table to its files, with the state of each record file, by which a
-    later change of the record is noticed."""
+    """Write a study's results table to its files, with the states of the record files, by which
+    later changes are noticed."""
     parquet = io.BytesIO()
     table.to_parquet(parquet, index=False)
     safe_table = _escape_formulas(table)

@@ -15,8 +15,8 @@ MUCH = 2.0  # factor in margin or gain from which a run is much more robust
 
 @dataclass(frozen=True, kw_only=True)
 class RobustAlternative:
-    """Run that is slower than the best run of a study, but more robust: its row in the table, and a
-    sentence that compares the two runs."""
+    """Run that is slower than the best run of a study, but more robust, with a sentence that
+    compares the two."""
 
     place: int
     text: str
@@ -43,8 +43,8 @@ def choose_robust_alternative(table: pd.DataFrame) -> RobustAlternative | None:
 
 
 def eligible_run_mask(table: pd.DataFrame) -> "pd.Series[bool]":
-    """For each run, whether the run may be shown as an alternative to the best run: on the same
-    plant, predicted stable, settled, and in at most twice the time."""
+    """Mask of the runs that may be shown as an alternative to the best run: on the same plant,
+    predicted stable, settled in at most twice the time."""
     time_s = numeric_column(table, "settling_time_mean_s")
     plants = text_column(table, "plant")
     is_settled = text_column(table, "verdict") == SETTLED.word
