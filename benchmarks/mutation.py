@@ -186,7 +186,7 @@ GROUPS = {
         modules=modules_of("robustness", "return_to_rest", "prediction", "mismatch")
         + modules_of("synthesis", "deployed")
         + theorems("deployed_rate", "measured_discs", "limited_input"),
-        tests="tests/oracles/test_evidence_rest.py "
+        tests="tests/oracles/test_rest_rules.py tests/oracles/test_evidence_rest.py "
         "tests/oracles/test_theorem_conditions.py tests/oracles/test_loop_mismatch.py "
         "tests/oracles/test_measured_discs.py "
         "tests/laws/test_synthesis_theorems.py tests/oracles/test_loop_prediction.py "

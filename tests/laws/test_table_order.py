@@ -4,8 +4,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import pandas as pd
+import pytest
 
-from ssm_study.table.gather import table_from_records
+from ssm_study.table.gather import _value_of_kind, table_from_records
 from ssm_study.table.over_seeds import seed_statistics_lines
 from ssm_study.table.rank import outcome_class, rank_runs, settling_ratio, sort_best_first
 
@@ -121,3 +122,51 @@ def test_means_over_seeds_need_two_seeds_of_one_setting() -> None:
     lines = seed_statistics_lines(without_fit)
     words = lines[3].split()
     assert words == expected
+
+
+KINDS: list[tuple[str, Any, Any]] = []
+KINDS.append(("string", 3, "3"))
+KINDS.append(("string", None, None))
+KINDS.append(("boolean", True, True))
+KINDS.append(("boolean", False, False))
+KINDS.append(("boolean", 1, None))
+KINDS.append(("boolean", "yes", None))
+KINDS.append(("Int64", True, None))
+KINDS.append(("Int64", 4, 4))
+KINDS.append(("Int64", 4.0, 4))
+KINDS.append(("Int64", 4.5, None))
+KINDS.append(("Int64", "four", None))
+KINDS.append(("Float64", True, None))
+KINDS.append(("Float64", 4, 4.0))
+KINDS.append(("Float64", "inf", float("inf")))
+KINDS.append(("Float64", "-inf", float("-inf")))
+KINDS.append(("Float64", "nan", None))
+KINDS.append(("Float64", None, None))
+
+
+@pytest.mark.parametrize(("kind", "stored", "expected"), KINDS)
+def test_a_value_has_the_type_of_its_column_or_is_missing(
+    kind: Any, stored: Any, expected: Any
+) -> None:
+    value = _value_of_kind(stored, kind)
+    assert value == expected
+    assert type(value) is type(expected)
+
+
+FURTHER: list[tuple[list[Any], str]] = []
+FURTHER.append(([True, None], "boolean"))
+FURTHER.append(([1, 2], "Int64"))
+FURTHER.append(([1, 2.5], "Float64"))
+FURTHER.append(([1.5, "inf"], "Float64"))
+FURTHER.append(([1, "word"], "string"))
+
+
+@pytest.mark.parametrize(("values", "kind"), FURTHER)
+def test_a_column_that_nobody_declares_is_of_the_kind_of_its_values(
+    values: list[Any], kind: str
+) -> None:
+    rows = [{"run": str(number), "own": value} for number, value in enumerate(values)]
+    table = table_of(*rows)
+    assert str(table["own"].dtype) == kind
+    missing = [value is None for value in values]
+    assert table["own"].isna().tolist() == missing

@@ -95,32 +95,30 @@ MILLISECONDS_AFTER_A_COLON = with_clock(
 COUNTER_16_BITS = with_clock(lambda k: f"{(60000 + 100 * k) % 65536}", "time_ms")
 COUNTER_32_BITS = with_clock(lambda k: f"{(4e9 + 2e6 * k) % 2**32:.0f}", "micros")
 # Content and sampling time of files whose clock is unusual.
-UNUSUAL_CLOCKS: dict[str, tuple[str, float]] = {
-    "days of a spreadsheet": (SPREADSHEET_MINUTES, 60.0),
-    "days, by another name": (SPREADSHEET_SECONDS, 1.0),
-    "days of MATLAB": (MATLAB_MINUTES, 60.0),
-    "since 1970, any name": (MILLISECONDS_SINCE_1970, 0.1),
-    "seconds since 1970": (SECONDS_SINCE_1970, 1.0),
-    "stop watch": (STOP_WATCH, 0.1),
-    "milliseconds after a colon": (MILLISECONDS_AFTER_A_COLON, 0.1),
-    "counter of 16 bits": (COUNTER_16_BITS, 0.1),
-    "counter of 32 bits": (COUNTER_32_BITS, 2.0),
-}
-UNUSUAL_DATES: dict[str, tuple[str, float]] = {
-    "digits of a date": (dated("%Y%m%d%H%M%S"), 1.0),
-    "digits to the minute": (dated("%Y%m%d%H%M", 60.0), 60.0),
-    "digits of days": (dated("%Y%m%d", 86400.0), 86400.0),
-    "name of a month": (DAY_MONTH_YEAR, 1.0),
-    "name of a month, tabs": (DAY_MONTH_YEAR.replace(",", "\t"), 1.0),
-    "month, day, year, tabs": (MONTH_DAY_YEAR.replace(",", "\t"), 1.0),
-    "month, day, year": (dated('"%b %d, %Y %H:%M:%S"'), 1.0),
-    "dates without dashes": (dated("%Y%m%dT%H%M%S"), 1.0),
-    "zone of two digits": (dated("%Y-%m-%d %H:%M:%S+01"), 1.0),
-    "twelve hours": (dated("%I:%M:%S %p", 30.0), 30.0),
-    "a.m. and p.m.": (A_M.replace("PM", "p.m."), 60.0),
-    "summer time ends, hours": (summer_time(1.0), 3600.0),
-    "summer time ends, quarters": (summer_time(0.25), 900.0),
-}
+UNUSUAL_CLOCKS: dict[str, tuple[str, float]] = {}
+UNUSUAL_CLOCKS["days of a spreadsheet"] = (SPREADSHEET_MINUTES, 60.0)
+UNUSUAL_CLOCKS["days, by another name"] = (SPREADSHEET_SECONDS, 1.0)
+UNUSUAL_CLOCKS["days of MATLAB"] = (MATLAB_MINUTES, 60.0)
+UNUSUAL_CLOCKS["since 1970, any name"] = (MILLISECONDS_SINCE_1970, 0.1)
+UNUSUAL_CLOCKS["seconds since 1970"] = (SECONDS_SINCE_1970, 1.0)
+UNUSUAL_CLOCKS["stop watch"] = (STOP_WATCH, 0.1)
+UNUSUAL_CLOCKS["milliseconds after a colon"] = (MILLISECONDS_AFTER_A_COLON, 0.1)
+UNUSUAL_CLOCKS["counter of 16 bits"] = (COUNTER_16_BITS, 0.1)
+UNUSUAL_CLOCKS["counter of 32 bits"] = (COUNTER_32_BITS, 2.0)
+UNUSUAL_DATES: dict[str, tuple[str, float]] = {}
+UNUSUAL_DATES["digits of a date"] = (dated("%Y%m%d%H%M%S"), 1.0)
+UNUSUAL_DATES["digits to the minute"] = (dated("%Y%m%d%H%M", 60.0), 60.0)
+UNUSUAL_DATES["digits of days"] = (dated("%Y%m%d", 86400.0), 86400.0)
+UNUSUAL_DATES["name of a month"] = (DAY_MONTH_YEAR, 1.0)
+UNUSUAL_DATES["name of a month, tabs"] = (DAY_MONTH_YEAR.replace(",", "\t"), 1.0)
+UNUSUAL_DATES["month, day, year, tabs"] = (MONTH_DAY_YEAR.replace(",", "\t"), 1.0)
+UNUSUAL_DATES["month, day, year"] = (dated('"%b %d, %Y %H:%M:%S"'), 1.0)
+UNUSUAL_DATES["dates without dashes"] = (dated("%Y%m%dT%H%M%S"), 1.0)
+UNUSUAL_DATES["zone of two digits"] = (dated("%Y-%m-%d %H:%M:%S+01"), 1.0)
+UNUSUAL_DATES["twelve hours"] = (dated("%I:%M:%S %p", 30.0), 30.0)
+UNUSUAL_DATES["a.m. and p.m."] = (A_M.replace("PM", "p.m."), 60.0)
+UNUSUAL_DATES["summer time ends, hours"] = (summer_time(1.0), 3600.0)
+UNUSUAL_DATES["summer time ends, quarters"] = (summer_time(0.25), 900.0)
 
 
 def tenths(k: int) -> str:
@@ -175,24 +173,22 @@ X_Value\tu\ty\tComment
 """
 _, LABVIEW_ROWS = table(row_of_labview, "\t").split("\n", 1)
 # Content of files with the plain clock, a sample every 0.1 s.
-UNUSUAL_NUMBERS: dict[str, str | bytes] = {
-    "grouped digits": table(row_with_grouped_digits, "\t"),
-    "apostrophes": table(row_with_apostrophes),
-    "percent": table(row_with_percent),
-    "typographic minus": PLAIN.replace("-", "\u2212"),
-    "exponents of Fortran": table(row_of_fortran),
-    "groups by spaces": table(row_with_groups_by_spaces, ";"),
-}
-UNUSUAL_LINES: dict[str, str | bytes] = {
-    "two lines of names": "clock,drive,sensor\n" + PLAIN,
-    "groups above the names": "System,,Process\n" + PLAIN,
-    "names, units, types": PLAIN.replace("\n", "\ns,V,degC\nint,double,double\n", 1),
-    "names again": "\n".join(LINES_WITH_NAMES_AGAIN),
-    "two bytes a letter": PLAIN.encode("utf-16-le"),
-    "unwritten end": PLAIN.encode() + b"\0" * 5000,
-    "end mark of DOS": PLAIN.encode() + b"\x1a",
-    "LabVIEW": LABVIEW_HEADER + LABVIEW_ROWS,
-}
+UNUSUAL_NUMBERS: dict[str, str | bytes] = {}
+UNUSUAL_NUMBERS["grouped digits"] = table(row_with_grouped_digits, "\t")
+UNUSUAL_NUMBERS["apostrophes"] = table(row_with_apostrophes)
+UNUSUAL_NUMBERS["percent"] = table(row_with_percent)
+UNUSUAL_NUMBERS["typographic minus"] = PLAIN.replace("-", "\u2212")
+UNUSUAL_NUMBERS["exponents of Fortran"] = table(row_of_fortran)
+UNUSUAL_NUMBERS["groups by spaces"] = table(row_with_groups_by_spaces, ";")
+UNUSUAL_LINES: dict[str, str | bytes] = {}
+UNUSUAL_LINES["two lines of names"] = "clock,drive,sensor\n" + PLAIN
+UNUSUAL_LINES["groups above the names"] = "System,,Process\n" + PLAIN
+UNUSUAL_LINES["names, units, types"] = PLAIN.replace("\n", "\ns,V,degC\nint,double,double\n", 1)
+UNUSUAL_LINES["names again"] = "\n".join(LINES_WITH_NAMES_AGAIN)
+UNUSUAL_LINES["two bytes a letter"] = PLAIN.encode("utf-16-le")
+UNUSUAL_LINES["unwritten end"] = PLAIN.encode() + b"\0" * 5000
+UNUSUAL_LINES["end mark of DOS"] = PLAIN.encode() + b"\x1a"
+UNUSUAL_LINES["LabVIEW"] = LABVIEW_HEADER + LABVIEW_ROWS
 READ: dict[str, tuple[str | bytes, float]] = {**UNUSUAL_CLOCKS, **UNUSUAL_DATES}
 READ |= {kind: (content, 0.1) for kind, content in UNUSUAL_NUMBERS.items()}
 READ |= {kind: (content, 0.1) for kind, content in UNUSUAL_LINES.items()}
@@ -258,15 +254,14 @@ PACKED = gzip.compress(PLAIN.encode())
 FOOTER = f"Mean,0,{Y.mean():.3f}\n"
 THOUSANDS_OR_DECIMALS = table(row_of_thousands_or_decimals, ";")
 ROW_TWICE = "\n".join([*LINES[:100], *LINES[99:]])
-AMBIGUOUS: dict[str, tuple[str | bytes, str]] = {
-    "packed": (PACKED, r"is packed \(gzip\); unpack it first"),
-    "footer": (PLAIN + FOOTER, "column time: no number in line 302: Mean"),
-    "thousands or decimals": (
-        THOUSANDS_OR_DECIMALS,
-        "may stand between thousands, or before decimals",
-    ),
-    "row twice": (ROW_TWICE, "row 99 of the file repeats the one before"),
-}
+AMBIGUOUS: dict[str, tuple[str | bytes, str]] = {}
+AMBIGUOUS["packed"] = (PACKED, r"is packed \(gzip\); unpack it first")
+AMBIGUOUS["footer"] = (PLAIN + FOOTER, "column time: no number in line 302: Mean")
+AMBIGUOUS["thousands or decimals"] = (
+    THOUSANDS_OR_DECIMALS,
+    "may stand between thousands, or before decimals",
+)
+AMBIGUOUS["row twice"] = (ROW_TWICE, "row 99 of the file repeats the one before")
 
 
 @pytest.mark.parametrize(("content", "says"), AMBIGUOUS.values(), ids=AMBIGUOUS)

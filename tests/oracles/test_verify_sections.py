@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ssm_study.certificates.certificate import Infeasible
+from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
 from ssm_study.engine.records import VERSION
 from ssm_study.signals import DataSet
 from ssm_study.study import claims
@@ -23,6 +24,7 @@ from ssm_study.study.design_claims import (
     COVERAGE_COLUMNS,
     check_internal_model,
     check_stored_certificate,
+    check_stored_initial_states,
     is_coverage_search_repeated,
     lacks_coverage,
     missing_column_reasons,
@@ -290,3 +292,67 @@ def test_only_a_log_compares_its_test_record_with_its_coverage(
 def test_an_older_run_s_coverage_is_not_withheld_afterwards() -> None:
     lacking = versioned(OLD)
     assert recompute_coverage_columns(lacking) == {}
+
+
+@pytest.mark.parametrize(("is_old", "feasible"), [(True, True), (False, False)])
+def test_a_coverage_is_withheld_in_a_present_design_alone(
+    is_old: bool, feasible: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = "ssm_study.study.design_claims"
+    names = ("measure_model_error", "measure_error_spectra", "withhold_coverage")
+    for name in names:
+        monkeypatch.setattr(f"{place}.{name}", lambda *_: {"withheld": True})
+    monkeypatch.setattr(f"{place}.coverage_columns", lambda *_: {"coverage": 1.5})
+    monkeypatch.setattr(f"{place}.recompute_fresh_data_column", lambda *_: {})
+    run = versioned(OLD if is_old else VERSION, feasible=feasible, coverage=1.5)
+    records = PARTS(records="records", start_up_samples=0)
+    vars(run)["model_run"] = PARTS(model=None, validation=records)
+    vars(run)["mismatch_records"] = ()
+    run.specification.plant = "plant"
+    run.design.gain_pair = "pair"
+    assert recompute_coverage_columns(run) == {"coverage": 1.5}
+
+
+def wrong_numbers(margin: float, condition: float) -> list[str]:
+    """Which numbers of a proof are named as wrong."""
+    proof: Any = object.__new__(UnlimitedStart)
+    vars(proof).update(margin=margin, condition=condition, p=np.eye(1))
+    return [sentence.partition(":")[0] for sentence in stored_number_errors(proof)]
+
+
+def test_the_numbers_beside_a_proof_are_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    place = "ssm_study.study.design_claims"
+    matrices = {"metric": np.eye(1)}
+    monkeypatch.setattr(UnlimitedStart, "float_conditions", lambda *_, **__: matrices)
+    monkeypatch.setattr(UnlimitedStart, "variables", {})
+    monkeypatch.setattr(f"{place}.smallest_eigenvalue", lambda _: 0.5)
+    monkeypatch.setattr(f"{place}.scaled_condition_number", lambda _: 10.0)
+    assert wrong_numbers(0.5, 10.0) == []
+    assert wrong_numbers(0.5 + 4e-7, 10.0 + 9e-6) == []
+    assert wrong_numbers(0.5 + 6e-7, 10.0) == ["margin"]
+    assert wrong_numbers(0.5, 10.0 - 2e-5) == ["condition"]
+    assert wrong_numbers(float("nan"), float("nan")) == ["margin", "condition"]
+
+
+STARTS: list[tuple[Any, bool, bool]] = []
+STARTS.append(([[1.0], [2.0]], True, True))
+STARTS.append(([[1.0], [2.0]], False, False))
+STARTS.append(([[1.0], [2.1]], True, False))
+STARTS.append(([[1.0], [2.1]], False, False))
+STARTS.append(([[1.0]], True, False))
+STARTS.append((None, True, False))
+
+
+@pytest.mark.parametrize(("starts", "within", "holds"), STARTS)
+def test_stored_initial_states_are_those_of_the_model_and_within_the_level(
+    starts: Any, within: bool, holds: bool
+) -> None:
+    part: Any = object.__new__(UnlimitedStart)
+    vars(part)["starts"] = np.array([[1.0], [2.0]])
+    array = None if starts is None else np.array(starts)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(UnlimitedStart, "holds", lambda *_, **__: within)
+        patch.setattr(UnlimitedStart, "variables", {})
+        verdict = check_stored_initial_states(part, array)
+    assert verdict.holds is holds
+    assert verdict.claim == "certificate starts"
