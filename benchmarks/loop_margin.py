@@ -21,7 +21,7 @@ from ssm_study import style
 from ssm_study.engine.records import read_record
 from ssm_study.report.figures import peers, robustness
 from ssm_study.report.study_folder import StudyFolder
-from ssm_study.report.words import Units
+from ssm_study.report.words import PlantUnits
 
 ABOUT = ["plant", "order", "hidden_width", "slope_lower", "seed"]
 """What tells one model of the study from another."""
@@ -175,7 +175,7 @@ def _of(comparison: pd.DataFrame) -> StudyFolder:
     """A study of which only this table is known."""
     study = StudyFolder(folder=Path())
     vars(study)["controller_comparison"] = comparison
-    vars(study)["units"] = Units(input="V", output="rad/s")  # of the motor, whose table it is
+    vars(study)["units"] = PlantUnits(input="V", output="rad/s")  # of the motor, whose table it is
     return study
 
 

@@ -108,7 +108,7 @@ def execute_request(overrides: list[str], opens_page: bool) -> int:
     study. Returns the exit status."""
     folder = configuration_folder()
     if any(word in ("--help", "-h") for word in overrides):
-        HydraCommandLine(overrides, folder, "study").help()
+        HydraCommandLine(overrides, folder, "study").print_help()
         return DONE
     if any(word.split("=")[0] in JUST_ASKING for word in overrides):
         hydra_main = hydra.main(version_base="1.3", config_path=str(folder), config_name="study")

@@ -101,7 +101,7 @@ class HydraCommandLine(Hydra):
         set_hydra_config(config)
         return config
 
-    def help(self) -> None:
+    def print_help(self) -> None:
         """Print the help of the command line, with the default choices marked by a star."""
         assert isinstance(self.config_loader, FastConfigurationLoader)
         self.config_loader.defaults = dict(self.config.hydra.runtime.choices)

@@ -20,7 +20,7 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.stored import model_from_json
 from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.refusal import BadRequest, require
-from ssm_study.report.words import Units
+from ssm_study.report.words import PlantUnits
 from ssm_study.robustness.mismatch import Mismatch, measure_model_error
 from ssm_study.signals import Trajectories
 from ssm_study.stored_yaml import read_stored_yaml
@@ -224,14 +224,14 @@ class StudyFolder:
         )
 
     @cached_property
-    def units(self) -> Units:
+    def units(self) -> PlantUnits:
         """Units of input and output of a study's plant; empty where they are not known or
         differ."""
         record = None if self.best_run is None else self.best_run.validation
         is_one_plant = text_column(self.table, "plant").nunique() < 2
         if record is None or not is_one_plant or self.others:
-            return Units()
-        return Units(input=record.unit("input"), output=record.unit("measured"))
+            return PlantUnits()
+        return PlantUnits(input=record.unit("input"), output=record.unit("measured"))
 
     def read_from_best(self, *parts: str, otherwise: str) -> list[Any]:
         """Read files of the study's best run, such as model or closed loop, by name. Raises

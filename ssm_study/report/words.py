@@ -45,7 +45,7 @@ def printed_column_name(name: object) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Units:
+class PlantUnits:
     """Units of input and output of the plant that a study is about."""
 
     input: str = ""

@@ -13,10 +13,10 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from ssm_study import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
-from ssm_study.report.words import Units, choice_label, printed_column_name, verdict_counts
+from ssm_study.report.words import PlantUnits, choice_label, printed_column_name, verdict_counts
 from ssm_study.table.columns import numeric_column, text_column
 
-NO_UNITS = Units()
+NO_UNITS = PlantUnits()
 DOT: dict[str, Any] = {"s": 16, "color": style.BLUE, "lw": 0, "zorder": 3, "clip_on": False}
 BAR: dict[str, Any] = {"color": style.VERMILLION, "lw": 1.6, "zorder": 4}
 
@@ -70,7 +70,9 @@ def draw(study: StudyFolder) -> Figure:
     return fig
 
 
-def create_controller_panels(table: pd.DataFrame, units: Units = NO_UNITS) -> list[ControllerPanel]:
+def create_controller_panels(
+    table: pd.DataFrame, units: PlantUnits = NO_UNITS
+) -> list[ControllerPanel]:
     """Panels of a figure that compares controllers: fraction of settled loops, relative settling
     time, peak input."""
     share = create_controller_panel(table, "stable_fraction", (-0.05, 1.05))
