@@ -149,7 +149,8 @@ GROUPS = {
     ),
     "export": Group(
         modules=modules_of("export", "device", "equilibrium_curve", "portable", "c", "targets"),
-        tests="tests/oracles/test_export_device.py tests/oracles/test_export_targets.py",
+        tests="tests/oracles/test_export_parts.py "
+        "tests/oracles/test_export_device.py tests/oracles/test_export_targets.py",
         planted=20,
     ),
     "engine": Group(
