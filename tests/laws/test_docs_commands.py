@@ -41,6 +41,8 @@ from ssm_study.loop.peers import designs
 from ssm_study.report import figures
 from ssm_study.synthesis.auto import Auto
 
+# Simple models beside that of a log are fitted in tests/oracles/test_models_narx.py.
+pytestmark = pytest.mark.usefixtures("without_baselines")
 COMMANDS = every_command()
 ROOMS = {
     "ssm_study/plants": ssm_study.plants,
