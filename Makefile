@@ -22,26 +22,28 @@ COMPILE := $(BIN)/python -m compileall -qq -j 0 .venv/lib || true # templates am
 	$(PYTHON) -m venv .venv
 	$(PIP) torch
 	$(PIP) --editable '.[report,export]'
+	@touch $@
+
+.venv/.compiled: .venv/.running
 	@$(COMPILE)
 	@touch $@
 
 # What checks and writes the project, on top of what runs it.
 .venv/.installed: .venv/.running
 	$(PIP) --editable '.[dev]'
-	@$(COMPILE)
 	@touch $@
 
 install: .venv/.installed
+	@$(COMPILE)
 
-study: .venv/.running
+study: .venv/.compiled
 	$(BIN)/ssm-study run experiment=paper
 
+# The linters use one core, and no library that is to be compiled: meanwhile the other cores do that.
 # One worker more than there are cores: many tests wait for processes that they start.
-test: install
-	$(BIN)/ruff format --check .
-	$(BIN)/ruff check .
-	$(BIN)/lint-imports
-	$(BIN)/mypy
+test: .venv/.installed
+	@$(COMPILE) & $(BIN)/ruff format --check . && $(BIN)/ruff check . && \
+	$(BIN)/lint-imports && $(BIN)/mypy; linted=$$?; wait; exit $$linted
 	$(BIN)/pytest -n $$($(BIN)/python -c "import os; print(min(8, (os.cpu_count() or 1) + 1))") --dist worksteal
 
 docs: install
