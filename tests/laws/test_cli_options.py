@@ -141,7 +141,7 @@ def test_the_last_refined_run_is_summarised(
     configurations: list[Any], failed: bool, status: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     steps = [PARTS(said="step", config=config) for config in configurations]
-    refined = note_calls(monkeypatch, "ssm_study.study.refine.refine", steps)
+    refined = note_calls(monkeypatch, "ssm_study.study.refine.refine_controller", steps)
     summarised = note_calls(monkeypatch, "ssm_study.cli.summary.print_run_summary", failed)
     options = options_of("refine r --times 1 --record log")
     assert commands.refine_run(options) == status
