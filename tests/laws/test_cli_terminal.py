@@ -257,7 +257,7 @@ def test_a_run_is_refined_once_or_more(
     (tmp_path / "a").mkdir()
     write_record(tmp_path / "a", record)
     steps = [SimpleNamespace(said="refined", config=None)]
-    monkeypatch.setattr("ssm_study.study.refine.refine", lambda *_: iter(steps))
+    monkeypatch.setattr("ssm_study.study.refine.refine_controller", lambda *_: iter(steps))
     words = ["refine", str(tmp_path / "a"), "--times"]
     assert main([*words, "1"]) == DONE
     assert capsys.readouterr().out == "refined\n"
