@@ -160,6 +160,7 @@ METHODS: Mapping[str, Mapping[str, str]] = {
         "posed": "as_problem",
         "rate_limit_of": "largest_provable_rate",
     },
+    "certificates.certificate.Design": {"pair": "gain_pair", "parts": "controller_and_observer"},
     "certificates.certificate.GainTheorem": {
         "at_largest_rate": "certificate_at_largest_rate",
         "ball": "required_ball",
