@@ -100,7 +100,6 @@ LINE = "tests/oracles/test_results_verify.py tests/oracles/test_verify_lies.py"
 LINE += " tests/refusals/test_verify_damage.py tests/oracles/test_study_line.py"
 LINE += " tests/oracles/test_study_answers.py"
 SPOKEN_OF = "(verify or claim or tamper or truncated or refuses)"
-LINE += " tests/oracles/test_verify_omissions.py"
 QUICK = "tests/oracles/test_verify_judgement.py tests/oracles/test_verify_sections.py"
 CLAIMS = f"{QUICK} {LINE} -k '{SPOKEN_OF} and not at_once and not without_controller'"
 GROUPS = {
@@ -210,7 +209,7 @@ GROUPS = {
     "data": Group(
         modules=modules_of("data", "splits", "recorded", "experiments", "closed_loop")
         + modules_of("data", "simulated", "assembly"),
-        tests="tests/oracles/test_data_cuts.py "
+        tests="tests/oracles/test_data_cuts.py tests/oracles/test_simulated_trials.py "
         "tests/oracles/test_data_splits.py tests/oracles/test_data_choice.py "
         "tests/refusals/test_data_files.py tests/refusals/test_data_two_files.py "
         "tests/refusals/test_data_values.py "

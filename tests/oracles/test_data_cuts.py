@@ -41,9 +41,6 @@ def spans(pieces: list[Trajectory]) -> list[tuple[int, int]]:
     return [(piece.first, piece.first + len(piece)) for piece in pieces]
 
 
-# Gaps.
-
-
 def log_with_gap(first: int, second: int, gap: int) -> list[Trajectory]:
     """Two pieces of a log whose samples between them are missing."""
     counts = np.arange(first + gap + second)
@@ -377,3 +374,17 @@ def test_a_projected_input_stays_within_what_was_applied() -> None:
     constant = record_of(np.zeros(700))
     _, share = project_inputs_on_set_points([constant], [reference])
     assert share == 0.0
+
+
+def test_an_equilibrium_is_stated_zero_or_the_mean() -> None:
+    values = np.array([[1.0, 2.0], [3.0, 6.0]])
+    source = RecordedData(**COLUMNS)
+    mean = source._channel_equilibrium("input", values, None)
+    assert mean.tolist() == [2.0, 4.0]
+    stated = source._channel_equilibrium("input", values, [7.0, 8.0])
+    assert stated.tolist() == [7.0, 8.0]
+    about_zero = RecordedData(**COLUMNS, equilibrium="zero")
+    zero = about_zero._channel_equilibrium("output", values, None)
+    assert zero.tolist() == [0.0, 0.0]
+    with pytest.raises(BadRequest, match=r"data\.output_equilibrium.*there are 2 channels"):
+        source._channel_equilibrium("output", values, [7.0])
