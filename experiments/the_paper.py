@@ -64,8 +64,9 @@ figures.captioned_figure("learned_dead_zone", study)
 # %% [markdown]
 # ## Certificate
 #
-# The rates that were chosen, and the largest that *any* controller can be certified for, from
-# eigenvalues and slopes.
+# Three rates for each side. The first is proved for the gains in use, and the picture shows it as
+# `r = sqrt(1 - rate)`. The second is the rate for which `synthesis=auto` designed these gains, and
+# the third the largest that *any* gains can have, from eigenvalues and slopes.
 # `certified` is the verdict of exact rational arithmetic on the stored matrices, not a solver's
 # status.
 
@@ -74,7 +75,8 @@ certificate = run.certificate
 assert certificate is not None
 for side in ("state_feedback", "observer"):
     part = certificate[side]
-    rates = f"rate {part['rate']:.3f} of at most {part['rate_limit']:.3f}"
+    rates = f"rate {part['certified_rate']:.3f}, designed for {part['rate']:.3f}"
+    rates = f"{rates}, at most {part['rate_limit']:.3f}"
     print(f"{side:15} {rates}, certified: {part['certified']}")
 figures.captioned_figure("certified_decay", study)
 

@@ -103,7 +103,7 @@ def _check_argument(path: str, kind: type, key: str, value: Any) -> Any:
         return value
     hint = hints[key]
     words = _type_description(hint)
-    remedy = "correct the value"
+    remedy = _remedy_for_type(kind, key)
     if PART in words:
         remedy = "choose it by its group, as in training/optimiser=lbfgs"
     fits = is_bearable(value, hint, conf=INTEGERS_ARE_NUMBERS)
@@ -113,6 +113,17 @@ def _check_argument(path: str, kind: type, key: str, value: Any) -> Any:
         largest = WIDEST.get(field) or WIDEST.get(path.split(".")[0], LARGEST_NUMBER)
         require(value <= largest, field, value, f"more than {largest}", "use a smaller number")
     return argument
+
+
+def _remedy_for_type(kind: type, key: str) -> str:
+    """Remedy for a setting of a wrong type: an example of the right type, the default of the
+    constructor's parameter if there is one."""
+    default = signature(kind).parameters[key].default
+    if isinstance(default, bool):
+        return f"write {str(default).lower()}, for example"
+    if isinstance(default, int | float | str) and default != "":
+        return f"write {default}, for example"
+    return "write a value of this kind"
 
 
 def _allows_only_scalars(hint: Any) -> bool:

@@ -297,7 +297,7 @@ def read_system_to_certify(system: Any) -> tuple[Any, Any, Any]:
     problem = "is no state space, and the gains act on its states"
     require(not hasattr(system, "num"), "A", kind, problem, f"convert it: control.ss; {MATRICES}")
     is_design = isinstance(system, Design)
-    require(not is_design, "A", kind, "prints its own certificates", f"for others {MATRICES}")
+    require(not is_design, "A", kind, "prints its own certificates", f"print it, or {MATRICES}")
     is_object = hasattr(system, "__dict__")
     foreign = is_object and not hasattr(system, "__array__")
     require(not foreign, "A", kind, "is no matrix of numbers", MATRICES)

@@ -133,9 +133,7 @@ def design_bilinear_controller(
     is_unlimited = all(limit is None for limit in limits)
     input_limits = None if is_unlimited else limits
     other_arguments = other_arguments | {"input_limits": input_limits}
-    problem = (
-        "is for other models; of products of input and state it is proved that they come to rest"
-    )
+    problem = "is for other models: the design for products of input and state takes no such choice"
     for name, value in other_arguments.items():
         require(value is None, name, value, problem, "leave it out")
     settings_of_synthesis = fields(BilinearSynthesis)

@@ -59,7 +59,11 @@ def convert_to_continuous(discrete: "python_control.StateSpace") -> "python_cont
     is_not_positive = poles.real <= 0
     is_real = np.abs(poles.imag) < 1e-12
     on_axis = is_not_positive & is_real
-    problem = f"a pole at {poles[on_axis][0].real:.3g}" if on_axis.any() else ""
+    problem = (
+        f"has a pole at {poles[on_axis][0].real:.3g}, which no continuous system gives"
+        if on_axis.any()
+        else ""
+    )
     remedy = "use the discrete system, to_control()"
     has_pole_on_axis = on_axis.any()
     require(not has_pole_on_axis, "model", "linearised", problem, remedy)
@@ -81,7 +85,8 @@ def tabulate_frequency_response(
     sampling rate."""
     is_integer = isinstance(points, Integral)
     is_count = is_integer and not isinstance(points, bool) and points >= 1
-    require(is_count, "points", points, "is no number of frequencies", "use 200")
+    problem = "is no number of frequencies, which is a whole number from 1"
+    require(is_count, "points", points, problem, "use 200")
     nyquist = np.pi / system.dt
     omega = np.geomspace(nyquist * 1e-4, nyquist, points)
     exponent = 1j * omega * system.dt

@@ -342,7 +342,7 @@ def draw_or_refuse(name: str, make_picture: Callable[[], "Picture"]) -> Any:
     try:
         picture = make_picture()
     except EmptyPictureError as reason:
-        remedy = "look at the other pictures"
-        problem = str(reason).rstrip(".")
-        raise BadRequest(name, "there is no picture", problem, remedy) from reason
+        sentence = str(reason).rstrip(".")
+        problem = sentence[:1].lower() + sentence[1:]
+        raise BadRequest(name, "not drawn", problem, "draw another picture") from reason
     return draw_picture(picture)

@@ -95,7 +95,7 @@ class RestDesign:
         on = plant or BilinearPlant.from_model(self.model, self.channels[:1], self.channels[1:])
         is_plant = isinstance(on, Plant)
         kind = type(on).__name__
-        require(is_plant, "plant", kind, "is no plant", "leave it out")
+        require(is_plant, "plant", kind, "is no plant", "leave it out to simulate the model")
         names = [channel.name for channel in on.outputs]
         output_count = len(names)
         _, starts = signal_array_and_names(y0, "y0", output_count, names)

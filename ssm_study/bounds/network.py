@@ -204,7 +204,7 @@ def _affine_pieces(network: Network) -> list[_AffinePiece]:
     """Affine pieces of a network with one input and one output, computed layer by layer. Refuses a
     network with several inputs or outputs."""
     shape = (network.input_count, network.output_count)
-    problem = "break points order scalar maps only"
+    problem = "the method break_points takes maps of one input and one output"
     require(shape == (1, 1), "scaffold", shape, problem, "use method=interval or lipsdp")
     one = np.array([1], dtype=object)
     identity = _AffinePiece(-inf, inf, slope=one, offset=0 * one, bits=0)

@@ -25,13 +25,13 @@ class Reduction:
 
     def __post_init__(self) -> None:
         order = self.truncate_to
-        require_at_least(1, "reduction.truncate_to", order, "one state must stay")
+        require_at_least(1, "reduction.truncate_to", order, "use 1 or more, or null to drop none")
         share = self.drop_below
-        remedy = "1e-6 changes the output by about one part in a million"
+        remedy = "use 1e-6, which changes the output by about a millionth"
         inside = BALANCING_FLOOR <= share < 1
         problem = f"must lie in [{BALANCING_FLOOR:g}, 1)"
         require(inside, "reduction.drop_below", share, problem, remedy)
-        problem = "truncation happens in balanced coordinates"
+        problem = "states can be dropped in balanced coordinates only"
         remedy = "set it true, or reduction.truncate_to=null"
         require(
             self.balanced or order is None, "reduction.balanced", self.balanced, problem, remedy
@@ -44,7 +44,9 @@ class Reduction:
         (`BadRequest`).
         """
         if not hasattr(model, "with_system_and_disturbances"):
-            problem = "balanced truncation is of linear recurrences"
+            problem = (
+                "states can be dropped from a linear recurrence only, and this model has neurons"
+            )
             remedy = "use reduction.truncate_to=null"
             require(
                 self.truncate_to is None, "reduction.truncate_to", self.truncate_to, problem, remedy

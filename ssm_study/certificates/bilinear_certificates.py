@@ -64,7 +64,11 @@ class BilinearDesign:
         is_text = all(isinstance(text, str) for text in texts)
         is_object = isinstance(reasons, dict)
         require(
-            is_object and is_text, "certificate.reasons", reasons, "is no object of texts", AGAIN
+            is_object and is_text,
+            "certificate.reasons",
+            reasons,
+            "is no object whose values are texts",
+            AGAIN,
         )
         names = content.keys() - {*DIMENSIONS, "reasons"}
         for name in sorted(names):

@@ -376,10 +376,10 @@ def certificate_digest(content: dict[str, Any]) -> str:
     return hashlib.sha256(canonical.encode()).hexdigest()
 
 
-def read_certificate(label: str, content: dict[str, Any]) -> Any:
+def read_certificate(label: str, content: Any) -> Any:
     """Construct a certificate from its stored fields, which name its theorem. A part that names
     none belongs to the theorem of the part's own name. Raises `BadRequest` for an unknown or a
-    withdrawn theorem."""
+    withdrawn theorem, and for content that is no object of JSON."""
     where = f"certificate.{label}"
     require(isinstance(content, dict), where, content, "is no object", AGAIN)
     derived = ("digest", "certified_rate")
@@ -390,7 +390,9 @@ def read_certificate(label: str, content: dict[str, Any]) -> Any:
     theorem = find_theorem(named)
     name = theorem.name()
     fits = theorem.part == part and OF_LIMITS.get(label, name) == name
-    require(fits, f"{where}.theorem", name, "is of another part", AGAIN)
+    require(
+        fits, f"{where}.theorem", name, "is the theorem of another part of the certificate", AGAIN
+    )
     feasible = stored.pop("feasible", True)
     kind: Any = theorem if feasible else Infeasible
     stored.pop("theorem" if feasible else "certified", None)

@@ -40,7 +40,7 @@ def _require_matching_sizes(
         shape = np.shape(matrix)
         for letter, size in zip(letters, shape, strict=True):
             expected, first = sizes.setdefault(letter, (size, name))
-            problem = f"is to be {' by '.join(letters)}, and {letter} is {expected} in {first}"
+            problem = f"must be {' by '.join(letters)}, and {letter} is {expected} in {first}"
             require(size == expected, f"{error_label}.{name} (shape)", shape, problem, AGAIN)
 
 
@@ -52,7 +52,7 @@ def convert_field(error_label: str, declared_type: Any, value: Any) -> Any:
             isinstance(value, declared_type),
             error_label,
             value,
-            f"is not a {declared_type.__name__}",
+            "is not a text" if declared_type is str else "is neither true nor false",
             AGAIN,
         )
         return value

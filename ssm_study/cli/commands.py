@@ -9,7 +9,7 @@ import argparse
 import json
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -148,11 +148,46 @@ def show_run(options: argparse.Namespace) -> None:
     print_run(options.study_or_run, Console(highlight=False))
 
 
-def verify_run(options: argparse.Namespace) -> int:
+def verify_study_or_run(options: argparse.Namespace) -> int:
+    """Check all claims of a run again, or of every run of a study, and print the verdict."""
+    from ssm_study.table.folders import find_run_folder, list_run_names
+
+    path = options.study_or_run
+    if (path / DESIGN_CHANNELS).is_file():
+        return verify_run(path, options)
+    names = list_run_names(path)
+    is_study = len(names) > 1 and path.is_dir()
+    return (
+        verify_study(path, names, options)
+        if is_study
+        else verify_run(find_run_folder(path), options)
+    )
+
+
+def verify_study(study: Path, runs: Sequence[str], options: argparse.Namespace) -> int:
+    """Check all claims of the named runs of a study again; print one line for each and a
+    summary."""
+    from ssm_study.study.verify_study import StudyVerdict, check_tables, verify_each_run
+
+    verdicts = []
+    for verdict in verify_each_run(study, runs):
+        verdicts.append(verdict)
+        if not options.json:
+            print("\n".join(verdict.lines(every_claim=options.verbose)), flush=True)
+    result = StudyVerdict(runs=tuple(verdicts), tables=check_tables(study))
+    if options.json:
+        print(result.to_json())
+    else:
+        print(*filter(None, (result.tables, result.summary())), sep="\n")
+    result.require_claims(study)
+    return DONE if result.holds else SOME_FAILED
+
+
+def verify_run(run: Path, options: argparse.Namespace) -> int:
     """Check all claims of a finished run again, and print the verdict."""
     from ssm_study.study.verify import verify
 
-    verified = verify(options.run)
+    verified = verify(run)
     if options.json:
         print(verified.to_json())
     else:
@@ -218,7 +253,7 @@ def export_rest_design(options: argparse.Namespace) -> list[Path]:
 
 
 # Commands that take a saved design without a run, which this file in its folder tells.
-OF_A_DESIGN = (verify_run, export_controller)
+OF_A_DESIGN = (verify_study_or_run, export_controller)
 DESIGN_CHANNELS = "channels.json"
 
 

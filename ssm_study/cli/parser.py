@@ -144,7 +144,8 @@ def add_show_options(command: argparse.ArgumentParser) -> None:
 
 
 def add_verify_options(command: argparse.ArgumentParser) -> None:
-    """Add the options of the command `verify`, which checks a run, to its parser."""
+    """Add the options of the command `verify`, which checks one run or all of a study, to its
+    parser."""
     json_help = "print JSON: every claim, and what was not checked"
     command.add_argument("--json", action="store_true", help=json_help)
     verbose_help = "list every claim with what was found, not those alone that fail"
@@ -209,9 +210,9 @@ ACTIONS = {
         add_show_options,
     ),
     "verify": FolderCommand(
-        commands.verify_run,
-        "run",
-        "recompute every claim of a run from its files (and the log that it was made of)",
+        commands.verify_study_or_run,
+        "study_or_run",
+        "recompute every claim of a run, or of each run of a study, from its files (and its log)",
         add_verify_options,
     ),
     "refine": FolderCommand(

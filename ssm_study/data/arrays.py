@@ -52,7 +52,7 @@ def write_log_files(
     counts = tuple(map(len, signal_lists))
     remedy = "give one y for each u"
     names = ", ".join(signals)
-    problem = "not as many experiments"
+    problem = "are not as many experiments"
     distinct_counts = set(counts)
     require(len(distinct_counts) == 1, names, counts, problem, remedy)
     (folder / ARRAYS).mkdir(parents=True, exist_ok=True)
@@ -196,7 +196,7 @@ def as_real_matrix(values: Any, name: str) -> SignalTable:
     mask = np.ma.getmaskarray(values) if np.ma.isMaskedArray(values) else np.zeros(1, dtype=bool)
     masked = bool(mask.any())
     first = int(np.argwhere(mask)[0][0]) if masked else 0
-    require(not masked, f"{name}[{first}]", "masked", "no number", INTERPOLATE_OR_CUT)
+    require(not masked, f"{name}[{first}]", "masked", "has no value", INTERPOLATE_OR_CUT)
     try:
         raw = np.asarray(values)
     except NO_NUMBERS as error:

@@ -1,17 +1,20 @@
 """Checks of a log before its dynamics are measured: stretches that are too short or at rest, and
 angles that wrap around."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from ssm_study.data.command_words import find_column_index
+from ssm_study.signals import Channel
 
 TURNS = (360.0, 2.0 * np.pi)  # degrees, radians
 PART_OF_TURN = 0.3  # share of a turn that an angle itself moves in a sample, at most
 WHOLE_TURN = 0.8  # share of a turn from which on a jump is one
 FEWEST_TURNS = 2  # jumps
+ANGLE = "like an angle that starts again"
+ANGLE_REMEDY = "add the turns up, or take its rate for the output"
 
 Signal = Float[np.ndarray, "T"]
 
@@ -30,19 +33,37 @@ def angle_wrap_sentences(columns: Mapping[str, Signal], output: str) -> list[str
     """Sentence on an output that jumps by a whole turn, as an angle does when it wraps around; none
     without such jumps."""
     place = find_column_index(list(columns), output)
-    y = np.empty(0) if place is None else list(columns.values())[place]
-    finite = y[np.isfinite(y)]
-    if len(finite) < 2:
+    if place is None:
         return []
-    jumps = np.abs(np.diff(finite))
+    y = list(columns.values())[place]
+    return [f"{remark}: {ANGLE_REMEDY}" for remark in angle_remarks([y[np.isfinite(y)]], "output")]
+
+
+def angle_remarks(pieces: Sequence[Signal], name: str) -> list[str]:
+    """Remark on an output, given as pieces without gaps, that jumps by a whole turn, like an angle
+    that wraps around; none without such jumps."""
+    moving = [piece for piece in pieces if len(piece) >= 2]
+    if not moving:
+        return []
+    lowest = min(piece.min() for piece in moving)
+    highest = max(piece.max() for piece in moving)
+    jumps = np.abs(np.concatenate([np.diff(piece) for piece in moving]))
     for turn in TURNS:
         starts = (0.0, -turn / 2)
-        is_within = any(start <= finite.min() and finite.max() <= start + turn for start in starts)
+        is_within = any(start <= lowest and highest <= start + turn for start in starts)
         count = int((jumps > WHOLE_TURN * turn).sum())
         moves_less = int((jumps > PART_OF_TURN * turn).sum()) == count
         if is_within and moves_less and count >= FEWEST_TURNS:
-            return [
-                f"the output jumps by a turn of {turn:.4g} in {count} places, like an angle that "
-                "starts again: add the turns up, or take its rate for the output"
-            ]
+            return [f"the {name} jumps by a turn of {turn:.4g} in {count} places, {ANGLE}"]
     return []
+
+
+def output_angle_remarks(
+    pieces: Sequence[Float[np.ndarray, "T p"]], channels: Sequence[Channel]
+) -> list[str]:
+    """Remark on each output of a log that jumps by a whole turn, like an angle that wraps
+    around."""
+    remarks = []
+    for number, channel in enumerate(channels):
+        remarks += angle_remarks([y[:, number] for y in pieces], f"output {channel.name}")
+    return remarks

@@ -14,6 +14,7 @@ from ssm_study.data import splits
 from ssm_study.data.assembly import Channels, Parts, assemble_dataset
 from ssm_study.data.channel_names import Names, as_name_tuple, name_channels
 from ssm_study.data.closed_loop import project_inputs_on_set_points, reconstruct_pi_set_point
+from ssm_study.data.log_checks import output_angle_remarks
 from ssm_study.data.readers.reader import has_columns
 from ssm_study.data.recording import ColumnSettings
 from ssm_study.data.splits import (
@@ -190,13 +191,14 @@ class RecordedData(ColumnSettings, ScaledRecordedSource):
         gain, integral_s = self.controller if is_pair else (0.0, 0.0)
         is_pi = 0 < abs(gain) < np.inf and integral_s > 0
         remedy = "give [gain, integral time in seconds]"
-        require(is_pi, "data.controller", self.controller, "is no PI", remedy)
+        problem = "is no PI, which has a gain and a positive integral time"
+        require(is_pi, "data.controller", self.controller, problem, remedy)
 
     def _check_disturbance_columns(self) -> None:
         """Raise `BadRequest` for a disturbance column that is named twice or is also an input or
         output."""
         names = as_name_tuple(self.disturbance or ())
-        require(all(names), "data.disturbance", names, "names no column", "name a column")
+        require(all(names), "data.disturbance", names, "names no column", "name one, or none")
         twice = [name for name in names if names.count(name) > 1]
         problem = "the same column twice"
         require(not twice, "data.disturbance", twice[:1], problem, "name each column once")
@@ -257,10 +259,11 @@ class RecordedData(ColumnSettings, ScaledRecordedSource):
         if self.test_path is not None:
             tested = self._read_logs("test_path", "test_output_path", before=len(logs))
             test = [piece for log in tested for piece in log.pieces]
-        paths = ", ".join(as_name_tuple(self.path))
-        about = {"path": paths, "seed": str(seed), "split": split}
+        about = {"path": ", ".join(as_name_tuple(self.path)), "seed": str(seed), "split": split}
         remarks = dict.fromkeys(log.remark for log in logs)
-        about["reading"] = ". ".join(remarks)
+        pieces = [piece for log in logs for piece in log.pieces]
+        turns = output_angle_remarks([piece.y for piece in pieces], self.outputs)
+        about["reading"] = "; ".join([". ".join(remarks), *turns])
         share = logs[0].share_by_set_point
         about |= {} if share is None else {"by_set_point": f"{share:.2f}"}
         channels: tuple[Channels, ...] = (self.inputs, self.outputs)

@@ -150,7 +150,7 @@ class ColumnSettings:
         pieces, remark = self.read_pieces(path, output_path, first=first, last=last)
         remedy = "cut the file there, or name it data.path alone"
         is_single_piece = len(pieces) == 1
-        problem = f"{remark}: not one record"
+        problem = f"it is several records with gaps between them ({remark})"
         require(is_single_piece, f"{path.name} (pieces)", len(pieces), problem, remedy)
         return replace(pieces[0], first=0)
 

@@ -8,6 +8,7 @@ from typing import Any, get_args
 from ssm_study.columns import Column
 from ssm_study.data.calendar_numbers import MAYBE_DAYS
 from ssm_study.data.clock_column import MAYBE_SMALLER
+from ssm_study.data.log_checks import ANGLE, ANGLE_REMEDY
 from ssm_study.data.missing_codes import CODES
 from ssm_study.data.recording import ASSUMED_SECOND
 from ssm_study.evidence import autonomous_motion as own_motion
@@ -73,7 +74,13 @@ class Judgement:
         list of findings."""
         for k, entry in enumerate(content if isinstance(content, list) else [content]):
             sound = isinstance(entry, dict) and entry.keys() == {"level", "sentence"}
-            require(sound, f"evidence.json [{k}]", entry, "is no finding", "run the study again")
+            require(
+                sound,
+                f"evidence.json [{k}]",
+                entry,
+                "is no finding (level and sentence)",
+                "run the study again",
+            )
             require_one_of(get_args(Level), f"evidence.json [{k}].level", entry["level"])
         return cls(findings=tuple(Finding(**entry) for entry in content))
 
@@ -107,8 +114,8 @@ def collect_findings(
 
 
 def judge_log_reading(reading_remarks: str) -> list[Finding]:
-    """Findings on how a log was read: a clock of unknown unit, or values that may mark missing
-    data."""
+    """Findings on how a log was read: a clock of unknown unit, values that may mark missing data,
+    an output that jumps like an angle."""
     doubts = []
     if ASSUMED_SECOND in reading_remarks:
         doubts.append(
@@ -117,8 +124,11 @@ def judge_log_reading(reading_remarks: str) -> list[Finding]:
                 f"{ASSUMED_SECOND}. Give data.step_s."
             )
         )
-    codes = [remark for remark in reading_remarks.split("; ") if remark.endswith(CODES)]
+    remarks = reading_remarks.split("; ")
+    codes = [remark for remark in remarks if remark.endswith(CODES)]
     doubts += [make_doubt(f"{remark}. If so, leave those cells empty.") for remark in codes]
+    turns = [remark for remark in remarks if remark.endswith(ANGLE)]
+    doubts += [make_doubt(f"{turn[0].upper()}{turn[1:]}: {ANGLE_REMEDY}.") for turn in turns]
     for unit in (MAYBE_SMALLER, MAYBE_DAYS):
         if unit in reading_remarks:
             doubts.append(

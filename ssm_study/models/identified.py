@@ -70,8 +70,8 @@ class ScaffoldedModel(Simulator):
         output_count = self.scale.outputs
         needed = (input_count, mapped_inputs, unmapped_outputs, output_count)
         name = "scaffold_in, scaffold_out"
-        problem = f"the channels must be {needed}"
-        require(wired == needed, name, wired, problem, "rewire them")
+        problem = f"the inputs and outputs of the two maps must be {needed}"
+        require(wired == needed, name, wired, problem, "write model.json again")
         require_positive("step_s", self.step_s, "give it in seconds")
 
     @property

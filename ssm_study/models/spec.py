@@ -88,18 +88,19 @@ class SSMSpec(ModelSpec):
         """Raise `BadRequest` for an impossible range of random poles or number of real poles."""
         require_whole_number(0, "real_modes", self.real_modes, "use 2")
         pairs = self.order - self.real_modes
-        remedy = "leave an even number of states for the pairs"
+        remedy = "change it by one, or model.order"
         fits = pairs >= 0 and pairs % 2 == 0
-        problem = f"{self.order} states minus these must be pairs"
+        problem = f"the other states of the {self.order} form pairs, so their number must be even"
         require(fits, "model.real_modes", self.real_modes, problem, remedy)
         radius_limit = ("ring_radius", 1.0)
         frequency_limit = ("ring_frequency", np.pi)
         for name, most in (radius_limit, frequency_limit):
             ends = getattr(self, name)
             end_count = len(ends)
+            default = list(getattr(type(self), name))
             fits = end_count == 2 and 0 <= ends[0] < ends[1] <= most
             problem = f"needs two increasing numbers in [0, {most:g}]"
-            require(fits, f"model.{name}", ends, problem, "correct the range")
+            require(fits, f"model.{name}", ends, problem, f"use the default, {default}")
 
     def settings_of_training_run(self, run: int) -> "SSMSpec":
         """Copy of the model settings for one of several training runs: the first starts from an

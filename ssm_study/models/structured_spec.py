@@ -255,10 +255,16 @@ class StructuredSpec(ModelSpec):
         output."""
         if self.integrating_output is not True:
             return
-        problem = "without neurons no integrator is set apart: a mode comes near one by itself"
+        problem = "model.integrating_output=true needs neurons"
         has_neurons = self.neurons != 0
-        require(has_neurons, "model.neurons", self.neurons, problem, "use 1 or more")
-        problem = "an integrating output has a linear S_y"
+        require(
+            has_neurons,
+            "model.neurons",
+            self.neurons,
+            problem,
+            "use 1 or more, or auto for model.integrating_output",
+        )
+        problem = "an output that integrates needs a linear output map, which has no knots"
         is_linear = not self.output_knots
         require(is_linear, "model.output_knots", self.output_knots, problem, "use 0")
 

@@ -95,11 +95,13 @@ class SaturatedInput(PlantWrapper):
 
     def __post_init__(self) -> None:
         rest = self.plant.equilibrium().u
-        problem = f"there are {len(rest)} inputs"
+        problem = f"the plant has {len(rest)} inputs"
         for name in ("lower", "upper"):
             limit = getattr(self, name)
             has_a_limit_each = np.size(limit) in (1, len(rest))
-            require(has_a_limit_each, name, limit, problem, "give as many")
+            require(
+                has_a_limit_each, name, limit, problem, "give one number for all, or one for each"
+            )
         is_above = np.all(np.asarray(self.lower) <= rest)
         is_below = np.all(rest <= np.asarray(self.upper))
         limits = (self.lower, self.upper)

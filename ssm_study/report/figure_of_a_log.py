@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 from ssm_study import style
+from ssm_study.data.command_words import find_column_index
 from ssm_study.data.plain_names import drawable_title
 
 if TYPE_CHECKING:
@@ -27,9 +28,21 @@ def draw_log(log: "LogOverview") -> "Figure":
             lower.step(time_s, record.u[:, 0], where="post", color=style.VERMILLION, linewidth=0.8)
             if record.d is not None:
                 panels[2].plot(time_s, record.d[:, 0], color=style.GREEN, linewidth=0.8)
-                panels[2].set_ylabel(drawable_title(log.disturbance or "disturbance"))
-        upper.set_ylabel(drawable_title(log.output or "output"))
-        lower.set_ylabel(drawable_title(log.input or "input"))
+                panels[2].set_ylabel(_axis_label(log, log.disturbance, "disturbance"))
+        upper.set_ylabel(_axis_label(log, log.output, "output"))
+        lower.set_ylabel(_axis_label(log, log.input, "input"))
         panels[-1].set_xlabel("time (s)" if log.step_is_known else "sample")
         upper.set_title(drawable_title(log.path.name), fontsize="medium")
     return figure
+
+
+def _axis_label(log: "LogLook", name: str | None, role: str) -> str:
+    """Name of a signal of a log with its unit, if the log states one."""
+    if name is None:
+        return role
+    titles = [column.name for column in log.columns]
+    place = find_column_index(titles, name)
+    unit = "" if place is None else drawable_title(log.columns[place].unit)
+    title = drawable_title(name)
+    is_stated = bool(unit) and unit not in title
+    return f"{title} ({unit})" if is_stated else title

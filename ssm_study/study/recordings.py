@@ -224,9 +224,12 @@ def initial_states_from_text(text: str, records: int) -> tuple[Any, ...]:
             for state in json.loads(text)
         ]
     except (TypeError, ValueError) as error:
-        raise BadRequest("start_states", text[:40], "no list of states", "run again") from error
+        raise BadRequest(
+            "start_states", text[:40], "is no list of states", "run the study again"
+        ) from error
     sound = len(states) == records and all(state is None or state.ndim == 1 for state in states)
-    require(sound, "start_states", text[:40], f"not one state for {records} records", "run again")
+    problem = f"does not hold one state for each of {records} records"
+    require(sound, "start_states", text[:40], problem, "run the study again")
     return tuple(states)
 
 

@@ -91,10 +91,10 @@ def _open_refinable_run(run: Path, log: Path | None) -> RunFiles:
     is_run = (run / CONFIGURATION).is_file() and bool(status)
     require(is_run, "run", run, "is no run folder", remedy)
     problem = "is infeasible, so there is no loop"
-    require(status != INFEASIBLE, "run", run, problem, "change the request first")
+    require(status != INFEASIBLE, "run", run, problem, "give a run with a controller")
     require(status == OK, "run", run, f"its status is {status}", "give a run that is ok")
     name = files.record.get("run")
-    require(name == run.name, "run", run, f"was made as {name}", remedy)
+    require(name == run.name, "run", run, f"was renamed: it was made as {name}", "rename it back")
     problem = "is the run of a baseline, which has no controller"
     require(files.has_certifiable_model, "run", run, problem, "use model=ssm")
     if log is None:

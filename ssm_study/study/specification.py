@@ -239,8 +239,14 @@ def _read_refine_setting(requested: Any, is_recorded: bool) -> int | list[str] |
         logs = [requested] if isinstance(requested, str) else requested
         is_list = isinstance(logs, list) and bool(logs)
         names_logs = is_list and all(isinstance(log, str) for log in logs)
-        problem = "there is no plant to try the controller on"
-        require(names_logs, "refine", requested, problem, "name the log of a trial")
+        problem = "the data are a log, so there is no plant to try the controller on"
+        require(
+            names_logs,
+            "refine",
+            requested,
+            problem,
+            "name the file of a trial, as in refine=trial.csv",
+        )
         missing = next((log for log in logs if not Path(log).is_file()), None)
         require(missing is None, "refine", missing, "no such file", "check the spelling")
         return list(logs)

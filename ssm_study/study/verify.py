@@ -104,9 +104,13 @@ class Verification:
 
     def to_json(self) -> str:
         """Verdict on a run as a text of JSON with the keys `holds`, `claims` and `not_checked`."""
+        return json.dumps(self.as_dict(), indent=1)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Verdict on a run as values of JSON, with the keys `holds`, `claims` and
+        `not_checked`."""
         claims = [asdict(finding) for finding in self.findings]
-        verdict = {"holds": self.holds, "claims": claims, "not_checked": dict(self.unchecked)}
-        return json.dumps(verdict, indent=1)
+        return {"holds": self.holds, "claims": claims, "not_checked": dict(self.unchecked)}
 
 
 def finding_lines(findings: Sequence[CheckedClaim]) -> list[str]:

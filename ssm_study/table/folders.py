@@ -23,7 +23,7 @@ def check_study_folder(path: Path) -> Path:
     names = {table.parent.name for table in tables}
     studies = sorted(names)
     is_gathered = (path / "runs.parquet").exists()
-    is_study = is_gathered or bool(_run_names(path))
+    is_study = is_gathered or bool(list_run_names(path))
     if studies and not is_study:
         problem = "there is no run in it, but there are studies"
         raise BadRequest("study", path, problem, f"name one: {abbreviate_names(studies)}")
@@ -50,7 +50,7 @@ def find_study_or_run(path: Path) -> Path:
     Raises `BadRequest` where neither is there.
     """
     is_run = (path / RECORD).is_file()
-    may_be_part = not path.is_dir() and bool(_run_names(path.parent))
+    may_be_part = not path.is_dir() and bool(list_run_names(path.parent))
     return find_run_folder(path) if is_run or may_be_part else check_study_folder(path)
 
 
@@ -66,7 +66,7 @@ def find_run_folder(path: Path) -> Path:
     is_folder = path.is_dir()
     study = path if is_folder else path.parent
     part = "" if path.is_dir() else path.name
-    names = _run_names(study)
+    names = list_run_names(study)
     matches = _matching_names(names, part)
     if len(matches) == 1:
         return study / matches[0]
@@ -87,7 +87,7 @@ def _matching_names(names: list[str], part: str) -> list[str]:
     return ending or beginning or digits
 
 
-def _run_names(study: Path) -> list[str]:
+def list_run_names(study: Path) -> list[str]:
     """Names of the runs of a study that have left a record."""
     records = study.glob(f"*/{RECORD}")
     return sorted(record.parent.name for record in records)

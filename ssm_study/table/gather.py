@@ -145,6 +145,28 @@ def rows_differ_from_records(study: Path, rows: pd.DataFrame) -> bool:
     return False
 
 
+def table_file_defects(study: Path) -> list[str]:
+    """Sentences that say where the table files of a study differ from the records of its runs. Rows
+    of runs that had not ended when the table was written are not compared."""
+    try:
+        table = pd.read_parquet(study / PARQUET, dtype_backend="numpy_nullable")
+        rows = {str(row.run): table.iloc[[place]] for place, row in enumerate(table.itertuples())}
+        has_ended = ~table["status"].isin([RUNNING, LOST])
+        ended = [str(name) for name in table["run"][has_ended]]
+        wrong = [name for name in ended if rows_differ_from_records(study, rows[name])]
+        expected_csv = _escape_formulas(table).to_csv(index=False).encode()
+    except (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError) as error:
+        return [f"{PARQUET} cannot be read ({type(error).__name__})"]
+    defects = []
+    if wrong:
+        defects.append(f"{PARQUET} differs from the record of {', '.join(wrong[:3])}")
+    with suppress(OSError):
+        content = read_limited_bytes(study / CSV)
+        if content != expected_csv:
+            defects.append(f"{CSV} differs from {PARQUET}")
+    return defects
+
+
 def _rows_by_run(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
     """Rows of a results table as dictionaries, by the name of the run, with None for missing
     values."""

@@ -114,7 +114,7 @@ def test_the_verdict_is_printed_with_its_hint_and_status(
     verified = PARTS(holds=holds, lines=lines, to_json=lambda: "{}")
     note_calls(monkeypatch, "ssm_study.study.verify.verify", verified)
     options = options_of(f"verify r {option}")
-    assert commands.verify_run(options) == status
+    assert commands.verify_run(options.study_or_run, options) == status
     expected = {"": "verdict (-v lists every claim)\n", "-v": "claim\nverdict\n", "--json": "{}\n"}
     expected = expected[option]
     actual = capsys.readouterr().out

@@ -349,3 +349,10 @@ def test_a_caption_says_one_thing_a_sentence(name: str) -> None:
         assert len(words) <= LONGEST_SENTENCE, sentence
         assert sentence.count(",") + sentence.count(";") <= 3, sentence
         assert sentence[:1].isupper(), sentence
+
+
+def test_a_console_without_pictures_prints_the_caption(tmp_path: Path) -> None:
+    figure = figures.CaptionedFigure(png=b"bytes of a picture", caption="Poles of the model.")
+    assert repr(figure) == "CaptionedFigure('Poles of the model.'; save it with .save(FILE))"
+    path = figure.save(str(tmp_path / "poles.png"))
+    assert path.read_bytes() == figure.png

@@ -371,7 +371,7 @@ def test_one_file_is_stored_read_back_and_verified(stored: dict) -> None:
         ("a", [[0.5, 0.0], [0.0, 0.5]], "state_feedback.a: differs"),
         ("beta", 0.1, "alpha, beta"),
         ("lambda", [[1.0, 1.0]], "not a finite matrix"),
-        ("theorem", "observer", "is of another part"),
+        ("theorem", "observer", "is the theorem of another part"),
         ("theorem", "os", "not a theorem"),
     ],
 )

@@ -82,12 +82,12 @@ TAMPERED_TOLERANCE = [
 ]
 TAMPERED_DEPLOYED = [
     ("rate", scale_by(1.01), FAILS),
-    ("theorem", replace_by("observer"), "is of another part"),
+    ("theorem", replace_by("observer"), "is the theorem of another part"),
 ]
 TAMPERED_LIMITED = [
     ("rate", scale_by(1.01), FAILS),
     ("beta", scale_by(0.99), "state_feedback_limited.alpha, beta"),
-    ("theorem", replace_by("state_feedback"), "is of another part"),
+    ("theorem", replace_by("state_feedback"), "is the theorem of another part"),
 ]
 TAMPERED_UNLIMITED = [
     ("starts", scale_entries_by(1.01), "fails (start 0)"),

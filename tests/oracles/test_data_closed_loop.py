@@ -159,7 +159,7 @@ def test_refusals(tmp_path: Path) -> None:
         RecordedData(**settings, reference="r", controller=controller)
     no_controllers = ([0.0, 1.0], [1.0], [1.0, -1.0])
     for controller in no_controllers:
-        with pytest.raises(BadRequest, match="is no PI; give"):
+        with pytest.raises(BadRequest, match="is no PI, which has a gain"):
             RecordedData(**settings, controller=controller)
     clipped_u = np.clip(u, -1, 1)
     clipped = log(clipped_u, y)

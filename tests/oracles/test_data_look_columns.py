@@ -8,7 +8,11 @@ import pytest
 import scipy.io
 import scipy.signal
 
+from ssm_study.data.log_checks import ANGLE
 from ssm_study.data.look import look
+from ssm_study.data.recorded import RecordedData
+from ssm_study.evidence.metrics import judge_log_reading
+from ssm_study.report.figure_of_a_log import draw_log
 
 
 def held_levels_log() -> pd.DataFrame:
@@ -17,6 +21,29 @@ def held_levels_log() -> pd.DataFrame:
     u = np.repeat(rng.uniform(-1, 1, 10), 40)
     y = scipy.signal.lfilter([0.0, 0.2], [1, -0.8], u)
     return pd.DataFrame({"time (ms)": 5.0 * np.arange(400), "u": u, "y": y})
+
+
+def test_the_picture_of_a_log_has_the_units_of_its_titles(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    held_levels_log().rename(columns={"y": "y [rad/s]", "u": "u (V)"}).to_csv(path, index=False)
+    labels = [axes.get_ylabel() for axes in draw_log(look(path, input="u", output="y")).axes]
+    assert labels == ["y (rad/s)", "u (V)"]
+
+
+def test_an_angle_that_starts_again_is_doubted_where_the_log_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    table = held_levels_log()
+    angle = np.cumsum(5.0 * table["y"] + 8.0) % 360.0
+    table.assign(y=angle).to_csv(path, index=False)
+    turned = RecordedData(path=str(path), input="u", output="y").build(0).metadata["reading"]
+    assert turned.endswith("; the output y jumps by a turn of 360 in 9 places, " + ANGLE)
+    (doubt,) = judge_log_reading(turned)
+    assert doubt.level == "doubt"
+    assert doubt.sentence.startswith("The output y jumps by a turn of 360 in 9 places")
+    assert doubt.sentence.endswith("add the turns up, or take its rate for the output.")
+    table.to_csv(path, index=False)
+    straight = RecordedData(path=str(path), input="u", output="y").build(0).metadata["reading"]
+    assert "turn" not in straight
 
 
 def test_an_angle_that_starts_again_is_named(tmp_path: Path) -> None:

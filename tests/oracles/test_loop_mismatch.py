@@ -11,6 +11,7 @@ from loop_cases import BALLS, INPUT_BALL, flat, motor_design, motor_model, motor
 from ssm_study.bounds.frequency import hinf_norm, largest_gains
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.bands import ANGLES as BANDS
+from ssm_study.robustness.bands import band_means, line_powers, safe_ratio
 from ssm_study.robustness.mismatch import Mismatch, measure_model_error
 from ssm_study.robustness.prediction import Prediction, predict_margins
 from ssm_study.robustness.sensitivity import (
@@ -26,6 +27,16 @@ from ssm_study.systems import Gains, JacobianBall, JacobianBalls, StateSpace
 EVEN_ANGLES = np.linspace(0, np.pi, 8001)
 LOW_ANGLES = np.geomspace(1e-5, np.pi, 2000)
 ANGLES = np.concatenate([EVEN_ANGLES, LOW_ANGLES])
+
+
+def test_a_band_without_any_power_has_an_unbounded_gain() -> None:
+    half_period = np.ones(32)
+    square_wave = np.tile(np.concatenate([half_period, -half_period]), 8)[:, None]
+    power = band_means(line_powers(np.fft.rfft(square_wave, axis=0)))
+    assert (power == 0.0).any(), "an exact square wave has no even harmonics, not even rounding"
+    gains = np.sqrt(safe_ratio(np.full(len(power), 1e-6), power))
+    assert gains.max() > 1e149
+    assert gains[power > 0].max() < 1.0
 
 
 def one_mode(pole: float) -> StateSpace:

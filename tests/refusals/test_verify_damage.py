@@ -104,11 +104,11 @@ def finding(entry: dict[str, Any]) -> Damage:
 PLAIN: dict[str, tuple[Damage, str]] = {}
 PLAIN["a shape"] = (
     shorter("observer", "l"),
-    "certificate.observer.l (shape) = (3, 1): is to be n by p, and n is 4 in a; synthesise again.",
+    "certificate.observer.l (shape) = (3, 1): must be n by p, and n is 4 in a; synthesise again.",
 )
 PLAIN["a part"] = (
     shorter("state_feedback_unlimited", "a", "b", "p", "starts"),
-    "certificate.state_feedback_unlimited.k (shape) = (1, 4): is to be m by n, and n is 3 in a; "
+    "certificate.state_feedback_unlimited.k (shape) = (1, 4): must be m by n, and n is 3 in a; "
     "synthesise again.",
 )
 PLAIN["a weight"] = (shorter("tolerance", "p"), "tolerance: the matrices do not fit the model")
@@ -122,7 +122,8 @@ PLAIN["a word"] = (
 )
 PLAIN["a key"] = (
     finding({"levl": "note"}),
-    "evidence.json [0] = {'levl': 'note'}: is no finding; run the study again.",
+    "evidence.json [0] = {'levl': 'note'}: is no finding (level and sentence); "
+    "run the study again.",
 )
 FOREIGN_WORDS = ("operand", "dimension", "tuple", "attribute", "argument")
 

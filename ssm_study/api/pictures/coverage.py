@@ -40,7 +40,7 @@ def coverage_picture(
     """
     part = design.extra_certificates.get(MeasuredDiscs.part)
     if not isinstance(part, MeasuredDiscs):
-        raise EmptyPictureError("No proof speaks of the model error of these gains.")
+        raise EmptyPictureError("It is not proved how large a model error these gains tolerate.")
     missing = spectra.insufficient_records_reason(part.centre)
     if missing is not None:
         raise EmptyPictureError(f"Nothing is covered: {missing}.")

@@ -81,7 +81,7 @@ class Excitation(ABC):
         else:
             amplitudes = tuple(amplitude)
         problem = f"one number or one per input is needed, and the plant has {request.inputs}"
-        remedy = "give as many"
+        remedy = "give one number for all, or one for each"
         require(
             len(amplitudes) == request.inputs, "excitation.amplitude", amplitudes, problem, remedy
         )

@@ -43,9 +43,9 @@ class McapReader(Reader, names=(".mcap",)):
             since_s = group.time_s - groups[0].time_s[0]
             time_s = since_s if time_s is None else time_s
             together = np.array_equal(since_s, time_s)
-            problem = f"not logged at the times of {names[0]}"
+            problem = f"is not logged at the times of {names[0]}"
             remedy = "log both in one topic, or resample them"
-            require(together, f"{path.name} (topic of)", name, problem, remedy)
+            require(together, f"{path.name} (field)", name, problem, remedy)
         return Table(columns=columns, units=units, time_s=time_s, row_word="message")
 
     def read_all_columns(self, path: Path) -> Table:

@@ -40,7 +40,7 @@ class PI(Controller):
         input_count = len(plant.inputs)
         output_count = len(plant.outputs)
         shape = (input_count, output_count)
-        problem = "inputs and outputs of the plant"
+        problem = "are the plant's numbers of inputs and outputs, of which a PI needs one each"
         single_channels = (1, 1)
         require(shape == single_channels, "loop.comparison.own_pi", shape, problem, "leave it out")
         equilibrium = plant.equilibrium()

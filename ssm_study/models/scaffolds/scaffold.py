@@ -86,21 +86,16 @@ def _read_json_field(kind: Any, key: str, data: Mapping[str, Any]) -> Any:
         return _build_from_json(kind, data)
     if get_origin(kind) is tuple:
         stored_list = data.get(key)
-        require(isinstance(stored_list, list), key, stored_list, "expected a list", AGAIN)
+        require(isinstance(stored_list, list), key, stored_list, "is not a list", AGAIN)
         parts = (_read_json_field(get_args(kind)[0], key, {key: part}) for part in data[key])
         return tuple(parts)
     if kind is float:
         return float(array_from_json(data, key, 0))
     if kind is str or issubclass(kind, JsonDataclass):
         needed = str if kind is str else Mapping
+        description = "a text" if kind is str else "an object"
         stored_value = data.get(key)
-        require(
-            isinstance(stored_value, needed),
-            key,
-            stored_value,
-            "missing or not what it should be",
-            AGAIN,
-        )
+        require(isinstance(stored_value, needed), key, stored_value, f"is not {description}", AGAIN)
         return data[key] if kind is str else kind.from_json(data[key])
     axes = kind.dim_str.split()
     values = array_from_json(data, key, len(axes))

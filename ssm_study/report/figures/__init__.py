@@ -57,6 +57,16 @@ class CaptionedFigure:
     png: bytes
     caption: str
 
+    def __repr__(self) -> str:
+        """Caption of a figure, as a console without pictures displays it."""
+        return f"CaptionedFigure({self.caption!r}; save it with .save(FILE))"
+
+    def save(self, path: str | Path) -> Path:
+        """Write the figure to a PNG file and return its path."""
+        file = Path(path)
+        file.write_bytes(self.png)
+        return file
+
     def _repr_mimebundle_(self, **_: object) -> dict[str, object]:
         """Image and caption of a figure, as a notebook displays them."""
         source = f"data:image/png;base64,{base64.b64encode(self.png).decode()}"

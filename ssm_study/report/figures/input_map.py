@@ -1,5 +1,5 @@
-"""Learned input map S_u around rest (left) and its local slope (right). The shaded interval of
-slopes is the one that the certificate assumes."""
+"""Input map S_u that the model learned (left) and its slope at each input (right). The certificate
+holds for every map whose slopes lie in the shaded interval."""
 
 from matplotlib.figure import Figure
 

@@ -1,7 +1,7 @@
-"""Input nonlinearity of the plant, as the network learned it: the map S_u (left) and its local
-slope (right). Of a simulated motor it stands beside the true dead zone, dashed, with S_u scaled to
-volts. Coulomb friction widens the dead zone that the output shows at rest: the dotted line includes
-it. The shaded interval of slopes is the certified one."""
+"""Input map S_u that the model learned (left) and its slope at each input (right). The certificate
+holds for every map whose slopes lie in the shaded interval. For the simulated motor, the dashed
+lines are the true dead zone and its slope, and S_u is scaled to them. At standstill friction widens
+the dead zone, as the dotted line shows."""
 
 from collections.abc import Mapping
 from typing import Any

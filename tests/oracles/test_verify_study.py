@@ -1,0 +1,95 @@
+"""`verify STUDY`: a line for each run, one for the gathered tables, a summary and exit status."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from ssm_study.cli.main import main
+from ssm_study.engine.records import write_record
+from ssm_study.table.gather import CSV, PARQUET, gather, table_file_defects
+
+FAILED_RUN = "failed-run-0"
+
+
+@pytest.fixture
+def study(smoke_run: Path, tmp_path: Path) -> Path:
+    """A gathered study of one finished run and one that failed."""
+    folder = tmp_path / "smoke"
+    shutil.copytree(smoke_run, folder / smoke_run.name)
+    failed = folder / FAILED_RUN
+    failed.mkdir()
+    write_record(failed, {"status": "failed", "error_message": "RuntimeError: no memory"})
+    gather(folder)
+    return folder
+
+
+def output_lines(study: Path, capsys: pytest.CaptureFixture[str], status: int) -> list[str]:
+    """Lines that the command prints about a study; checks its exit status."""
+    assert main(["verify", str(study)]) == status
+    return capsys.readouterr().out.splitlines()
+
+
+def test_each_run_has_a_line_and_the_summary_counts(
+    study: Path, smoke_run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    failed, finished, tables, summary = output_lines(study, capsys, status=0)
+    assert failed.startswith(f"nothing  {FAILED_RUN}: the run failed and claims nothing; see ")
+    assert finished.startswith(f"holds    {smoke_run.name}: ")
+    assert "claims hold" in finished
+    assert tables == f"holds  {PARQUET}, {CSV}: as the records of the runs say"
+    assert summary == f"2 runs: 1 holds, 1 claims nothing ({FAILED_RUN})"
+
+
+def test_a_claim_that_does_not_hold_is_named_with_its_run(
+    study: Path, smoke_run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = study / smoke_run.name / "model.json"
+    model.write_text(model.read_text() + "\n")
+    _, finished, cause, _, summary = output_lines(study, capsys, status=1)
+    assert finished.startswith(f"FAILS    {smoke_run.name}: ")
+    assert cause == "  FAILS  files: changed since: model.json"
+    assert f"1 does not ({smoke_run.name})" in summary
+
+
+def test_json_gives_each_run(
+    study: Path, smoke_run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["verify", str(study), "--json"]) == 0
+    verdict = json.loads(capsys.readouterr().out)
+    assert verdict["holds"] is True
+    assert verdict["runs"][smoke_run.name]["holds"] is True
+    assert verdict["runs"][FAILED_RUN]["holds"] is None
+    assert verdict["tables"]["holds"] is True
+
+
+def test_a_study_without_results_is_refused(
+    study: Path, smoke_run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.rmtree(study / smoke_run.name)
+    shutil.copytree(study / FAILED_RUN, study / "failed-run-1")
+    assert main(["verify", str(study)]) == 2
+    assert "none of its 2 runs has results" in capsys.readouterr().err
+
+
+def test_an_edited_table_is_named(study: Path, smoke_run: Path) -> None:
+    table = pd.read_parquet(study / PARQUET, dtype_backend="numpy_nullable")
+    table.loc[table["run"] == smoke_run.name, "fit_test_percent"] = 99.9
+    table.to_parquet(study / PARQUET, index=False)
+    differs, csv = table_file_defects(study)
+    assert differs == f"{PARQUET} differs from the record of {smoke_run.name}"
+    assert csv == f"{CSV} differs from {PARQUET}"
+    gather(study, anew=True)
+    assert table_file_defects(study) == []
+    (study / CSV).write_text((study / CSV).read_text().replace("failed", "ok"))
+    assert table_file_defects(study) == [f"{CSV} differs from {PARQUET}"]
+    (study / PARQUET).write_bytes(b"no table")
+    (problem,) = table_file_defects(study)
+    assert problem.startswith(f"{PARQUET} cannot be read")
+
+
+def test_a_removed_run_is_named_by_its_row(study: Path, smoke_run: Path) -> None:
+    shutil.rmtree(study / smoke_run.name)
+    assert table_file_defects(study) == [f"{PARQUET} differs from the record of {smoke_run.name}"]
