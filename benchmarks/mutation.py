@@ -210,6 +210,7 @@ GROUPS = {
         modules=modules_of("data", "splits", "recorded", "experiments", "closed_loop")
         + modules_of("data", "simulated", "assembly"),
         tests="tests/oracles/test_data_cuts.py tests/oracles/test_simulated_trials.py "
+        "tests/oracles/test_assembled_data.py "
         "tests/oracles/test_data_splits.py tests/oracles/test_data_choice.py "
         "tests/refusals/test_data_files.py tests/refusals/test_data_two_files.py "
         "tests/refusals/test_data_values.py "
