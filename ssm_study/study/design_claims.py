@@ -152,7 +152,7 @@ def check_stored_certificate(
 
 def check_internal_model(run: RunFiles) -> Iterator[CheckedClaim]:
     """Check that the internal model in the state feedback of a run is the requested one."""
-    words = getattr(run.specification.synthesis, "modes", ())
+    words = getattr(run.specification.synthesis, "internal_model_signals", ())
     feedback = run.design.state_feedback
     if not words or not isinstance(feedback, StateFeedback):
         return
@@ -300,7 +300,7 @@ def system_for_state_feedback(run: RunFiles) -> System:
     feedback = run.design.state_feedback
     if isinstance(feedback, StateFeedback):
         return controlled_system(run.model, feedback)
-    words = getattr(run.specification.synthesis, "modes", ())
+    words = getattr(run.specification.synthesis, "internal_model_signals", ())
     if not words:
         return run.model.system
     modes = internal_model(words, run.model.step_s, run.model.scale.outputs)

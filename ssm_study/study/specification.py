@@ -104,7 +104,7 @@ class Specification:
 
         Only where the sampling rate is known beforehand.
         """
-        words = getattr(self.synthesis, "modes", ())
+        words = getattr(self.synthesis, "internal_model_signals", ())
         step_s = getattr(self.plant or self.data, "step_s", None)
         if words and step_s:
             from ssm_study.certificates.theorems.integral_action import internal_model
