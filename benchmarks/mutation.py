@@ -168,7 +168,8 @@ GROUPS = {
     ),
     "cli": Group(
         modules=modules_of("cli", "main", "commands", "parser", "request", "hydra_errors"),
-        tests="tests/laws/test_cli_options.py tests/refusals/test_cli_suggestions.py "
+        tests="tests/laws/test_cli_options.py tests/laws/test_cli_prints.py "
+        "tests/refusals/test_cli_suggestions.py "
         "tests/refusals/test_cli_sentences.py tests/laws/test_cli_terminal.py "
         "tests/refusals/test_cli_guard.py tests/refusals/test_study_requests.py "
         "tests/refusals/test_study_words.py",
