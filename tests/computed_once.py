@@ -1,5 +1,5 @@
-"""What the tests of `verify` compute once: they verify a hundred copies of one run, each with one
-file changed."""
+"""Results that the tests of `verify` compute once: they verify a hundred copies of one run, each
+with one file changed."""
 
 import hashlib
 import pickle

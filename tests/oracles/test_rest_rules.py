@@ -1,4 +1,4 @@
-"""What counts as a return, a rest, an offset and a swing, at the edges; margins from loop gains."""
+"""Rules of returns, rests, offsets and swings, at the edges; margins from loop gains."""
 
 from dataclasses import replace
 from typing import Any
