@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import zstandard
 from mcap import records
@@ -25,7 +26,7 @@ MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = struct.Struct("<BQ")  # operation code, length
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence number, log time, publish time
 # Records besides messages that say something about a recording, in the file or in its chunks.
-KINDS = {
+KINDS: dict[int, Any] = {
     Opcode.ATTACHMENT: records.Attachment,
     Opcode.CHANNEL: records.Channel,
     Opcode.CHUNK: records.Chunk,
