@@ -27,6 +27,7 @@ from ssm_study.signals import Trajectories
 from ssm_study.systems import Gains, JacobianBalls
 
 PEAKS = 2  # frequencies at most
+SAME_SINE = 0.1  # relative distance of two frequencies that one sine tests
 FEWEST_LINES = 4  # periods of the sine in one period of the record, at least
 
 
@@ -63,9 +64,20 @@ def sensitive_spectral_lines(
 def line_of_smallest_margin(
     model: Model, pair: Gains, balls: JacobianBalls, mismatch: Mismatch, period: int
 ) -> int | None:
-    """Spectral line at which the broadband records give the smallest stability margin; None if no
-    margin is known. The lowest frequencies, below the first band, are left out: what counts there
-    is an offset.
+    """Spectral line nearest to the frequency at which the broadband records give the smallest
+    stability margin; None if no margin is known."""
+    angle = frequency_of_smallest_margin(model, pair, balls, mismatch)
+    if angle is None:
+        return None
+    return nearest_spectral_line(angle, period)
+
+
+def frequency_of_smallest_margin(
+    model: Model, pair: Gains, balls: JacobianBalls, mismatch: Mismatch
+) -> float | None:
+    """Frequency (rad/sample) at which the broadband records give the smallest stability margin;
+    None if no margin is known. The lowest frequencies, below the first band, are left out: what
+    counts there is an offset.
 
     A loop whose `|T_ue|` is flat may swing far from its peak, where the records show a large model
     error but jitter over a steep curve, so that a single sine meets a larger one.
@@ -78,7 +90,24 @@ def line_of_smallest_margin(
     deciding = int(gains.argmax())
     if gains[deciding] == 0:
         return None
-    return nearest_spectral_line(float(FINE_ANGLES[deciding]), period)
+    return float(FINE_ANGLES[deciding])
+
+
+def frequencies_to_test(
+    model: Model, pair: Gains, balls: JacobianBalls, mismatch: Mismatch
+) -> tuple[float, ...]:
+    """Frequencies (rad/sample) of the single sines that test a design: the highest peaks of the
+    closed loop's sensitivity, then the frequency of the smallest stability margin in the records,
+    unless a peak lies within a tenth of it."""
+    peaks = peak_frequencies(model, pair, balls)[:PEAKS]
+    deciding = frequency_of_smallest_margin(model, pair, balls, mismatch)
+    if deciding is None:
+        return tuple(peaks)
+    for peak in peaks:
+        distance = peak / deciding - 1
+        if abs(distance) < SAME_SINE:
+            return tuple(peaks)
+    return (*peaks, deciding)
 
 
 def nearest_spectral_line(angle: float, period: int) -> int:

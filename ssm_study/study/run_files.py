@@ -214,16 +214,22 @@ class RunFiles:
 
     @property
     def sine_frequencies(self) -> tuple[float, ...]:
-        """Frequencies (rad/sample) of single sines at which a run's closed loop is most sensitive
-        to model errors. Empty without a design."""
-        from ssm_study.robustness.sine_trials import PEAKS, peak_frequencies
+        """Frequencies (rad/sample) of single sines that test a run's closed loop: where it is most
+        sensitive to model errors, and where the records give the smallest stability margin. Empty
+        without a design."""
+        from ssm_study.robustness.sine_trials import frequencies_to_test
 
         if not self.has_certifiable_model:
             return ()
         if not self.design.feasible:
             return ()
-        angles = peak_frequencies(self.model, self.design.gain_pair, certified_balls(self.model))
-        return tuple(angles[:PEAKS])
+        model = self.model
+        validation = self.simulated.validation
+        mismatch = measure_model_error(
+            model, validation.records, validation.start_up_samples, self.mismatch_records
+        )
+        balls = certified_balls(model)
+        return frequencies_to_test(model, self.design.gain_pair, balls, mismatch)
 
     @property
     def loop_experiment(self) -> LoopExperiment:

@@ -22,15 +22,18 @@ from ssm_study.robustness.coverage_items import (
     requirement_from_sine,
 )
 from ssm_study.robustness.coverage_spectra import line_spectrum
-from ssm_study.robustness.mismatch import measure_model_error
+from ssm_study.robustness.mismatch import Mismatch, measure_model_error
 from ssm_study.robustness.prediction import predict_margins
 from ssm_study.robustness.record_errors import RecordErrors
 from ssm_study.robustness.sensitivity import error_to_input_response
 from ssm_study.robustness.sine_trials import (
     SineMismatch,
     add_sines_to_mismatch,
+    frequencies_to_test,
+    frequency_of_smallest_margin,
     line_of_smallest_margin,
     measure_errors_at_sines,
+    peak_frequencies,
     sensitive_spectral_lines,
 )
 from ssm_study.signals import Trajectory
@@ -171,18 +174,43 @@ def test_the_line_where_the_records_decide_the_margin_is_tried_last() -> None:
     assert spectral_lines_to_test(*judged, only_peaks=True) == at_peaks
     deciding = line_of_smallest_margin(SSM_MODEL, FAST.gain_pair, BALLS, MISMATCH, PERIOD)
     assert deciding in lines
-    view = MISMATCH.views[-1]
-    gain_at_one_band = 1e-6 * np.ones(33)
-    gain_at_one_band[7] = 0.1
-    no_linear_part = 0 * view.linear
-    everything_counts = {"linear": no_linear_part, "rest": gain_at_one_band}
-    peaked = replace(view, by_frequency=gain_at_one_band, **everything_counts)
-    mismatch = replace(MISMATCH, views=(peaked,))
+    mismatch = mismatch_in_one_band(7)
     line = line_of_smallest_margin(SSM_MODEL, FAST.gain_pair, BALLS, mismatch, PERIOD)
     assert line is not None
     angle = 2 * np.pi * line / PERIOD
     band_angle = 7 * np.pi / 32
     assert abs(angle - band_angle) < np.pi / 32
+
+
+def mismatch_in_one_band(band: int) -> Mismatch:
+    """Records whose model error is large in one frequency band and has no phase to use."""
+    view = MISMATCH.views[-1]
+    gain_at_one_band = 1e-6 * np.ones(33)
+    gain_at_one_band[band] = 0.1
+    no_linear_part = 0 * view.linear
+    peaked = replace(
+        view, by_frequency=gain_at_one_band, linear=no_linear_part, rest=gain_at_one_band
+    )
+    return replace(MISMATCH, views=(peaked,))
+
+
+def test_a_real_plant_is_also_tried_where_its_records_leave_the_smallest_margin() -> None:
+    """After the peaks of the sensitivity, and only once: not beside a peak."""
+    gains = FAST.gain_pair
+    peaks = peak_frequencies(SSM_MODEL, gains, BALLS)[:2]
+    far_from_peaks = mismatch_in_one_band(7)
+    deciding = frequency_of_smallest_margin(SSM_MODEL, gains, BALLS, far_from_peaks)
+    assert deciding is not None
+    assert min(abs(peak / deciding - 1) for peak in peaks) > 0.1
+    angles = frequencies_to_test(SSM_MODEL, gains, BALLS, far_from_peaks)
+    assert angles == (*peaks, deciding)
+    band_of_peak = round(peaks[0] * 32 / np.pi)
+    near_a_peak = mismatch_in_one_band(band_of_peak)
+    angles = frequencies_to_test(SSM_MODEL, gains, BALLS, near_a_peak)
+    assert angles == tuple(peaks)
+    silent = replace(MISMATCH, views=())
+    angles = frequencies_to_test(SSM_MODEL, gains, BALLS, silent)
+    assert angles == tuple(peaks)
 
 
 def test_records_without_a_mismatch_decide_at_no_line() -> None:

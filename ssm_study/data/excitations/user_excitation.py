@@ -100,5 +100,7 @@ class IdentificationExperiment:
         lasts = f"{len(u)} samples, {len(u) * self.step_s / 60:.1f} minutes"
         if self.sines:
             hertz = [f"{angle / (2 * np.pi * self.step_s):.3g}" for angle in self.sines]
-            lasts += f", the last with single sines at {' and '.join(hertz)} Hz"
+            *before, last = hertz
+            frequencies = f"{', '.join(before)} and {last}" if before else last
+            lasts += f", the last with single sines at {frequencies} Hz"
         return f"{path}: {lasts}, inputs from {u.min():.4g} to {u.max():.4g}, rest {self.rest:.4g}"
