@@ -180,6 +180,7 @@ GROUPS = {
         tests="tests/oracles/test_evidence_limits.py tests/oracles/test_evidence_response.py "
         "tests/oracles/test_evidence_rest.py tests/oracles/test_evidence_false_reasons.py "
         "tests/oracles/test_evidence_own_motion.py tests/oracles/test_evidence_feedback.py "
+        "tests/oracles/test_evidence_integration.py "
         "tests/laws/test_evidence_controls.py -k 'not control or white or saturated or 60 or good'",
         planted=15,
     ),

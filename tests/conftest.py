@@ -51,6 +51,7 @@ WHOLE_RUNS = {
     "test_docs_notebooks",
     "test_evidence_controls",
     "test_evidence_false_reasons",
+    "test_evidence_integration",
     "test_export_device",
     "test_export_targets",
     "test_extensions",

@@ -74,7 +74,7 @@ def launch_sweep(
     for job in to_do:  # all of them before the first is begun: a typo is not found after an hour
         job.check_settings(task)
     if sweep.config.get("dry_run"):
-        runners = [partial(task.stages, task.request(job.settings)) for job in to_do]
+        runners = [partial(task.run_stages, task.request(job.settings)) for job in to_do]
         finished = len(unique) - len(to_do)
         store = shared_store(sweep.config)
         print(

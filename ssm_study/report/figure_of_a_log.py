@@ -36,7 +36,7 @@ def draw_log(log: "LogOverview") -> "Figure":
     return figure
 
 
-def _axis_label(log: "LogLook", name: str | None, role: str) -> str:
+def _axis_label(log: "LogOverview", name: str | None, role: str) -> str:
     """Name of a signal of a log with its unit, if the log states one."""
     if name is None:
         return role

@@ -224,7 +224,7 @@ class RunFiles:
         if not self.design.feasible:
             return ()
         model = self.model
-        validation = self.simulated.validation
+        validation = self.model_run.validation
         mismatch = measure_model_error(
             model, validation.records, validation.start_up_samples, self.mismatch_records
         )
