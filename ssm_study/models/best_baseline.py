@@ -11,8 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssm_study.models.baselines.output_error import fit_output_error
-from ssm_study.models.baselines.regression import INPUT, NarxModel, fit_arx, fit_narx_models
+from ssm_study.models.baselines.regression import (
+    INPUT,
+    NarxModel,
+    fit_arx,
+    fit_narx_models,
+    fit_output_error,
+)
 from ssm_study.models.baselines.starts import OUTPUTS, STARTS, simulate_by_kind_of_start
 from ssm_study.models.metrics import Simulation
 from ssm_study.signals import DataSet

@@ -1,21 +1,27 @@
 """Candidate settings of a model, scored by their free-run error in cross-validation."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.models.baselines.regression import fit_arx, fit_output_error
+from ssm_study.models.identified import SSM
 from ssm_study.models.metrics import Simulation
+from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.models.warm_start import PAST, SAMPLES, states_from_preceding_log
-from ssm_study.signals import DataSet
+from ssm_study.signals import DataSet, Trajectory
+from ssm_study.systems import StateSpace
+from ssm_study.training.metrics import records_fit_percent
 from ssm_study.training.short_starts import STEPS, settings_for_short_training
 from ssm_study.training.structured_fit import StructuredFit
 
 LINEAR = "linear output error"
 REGRESSION = "linear ARX"  # the errors of one step: a load that is not in the log weighs less
+FIT_RECURSION = {LINEAR: fit_output_error, REGRESSION: fit_arx}
 ENDED_LINEAR = {
     LINEAR: "the error of a linear free run no longer falls",
     REGRESSION: "a linear regression has one solution",
@@ -48,7 +54,6 @@ class Candidate:
     start: str = SAMPLES
     example: Any = field(default=None, repr=False, compare=False)
     training_error: float = 0.0  # median over the folds, percent
-    time_constant: float = 0.0  # samples: the largest of linear models, over the folds
     fits: tuple[Any, ...] = field(default=(), repr=False, compare=False)  # of the folds
 
     @property
@@ -194,7 +199,6 @@ class CandidateErrors:
     example: Any = None
     training_errors: list[float] = field(default_factory=list)
     fits: list[StructuredFit] = field(default_factory=list)
-    time_constant: float = 0.0
 
     def add_error_on_fold(self, model: Any, fold: DataSet, training_error: float = 0.0) -> None:
         """Add the free-run error of a model on the held-out part of one more fold. A model that is
@@ -234,6 +238,87 @@ class CandidateErrors:
         states."""
         errors_of_kind = self.by_start[self.best_initial_state_source]
         return np.array(errors_of_kind)
+
+
+def cross_validate_linear_model(
+    folds: Sequence[DataSet], order: int, delay: int, kind: str = LINEAR
+) -> CandidateErrors:
+    """Fit a linear model on every cross-validation fold, and compute its errors on the held-out
+    parts. A delay of 1 is no dead time, 0 a direct path; the kind is output error or ARX."""
+    trial = CandidateErrors()
+    for fold in folds:
+        part = fold.shift_out_dead_time(delay - 1) if delay > 1 else fold
+        with np.errstate(all="ignore"):
+            model = fit_linear_model(part, order, has_feedthrough=delay == 0, kind=kind)
+            fit_training = records_fit_percent(model, part.training, part)
+            trial.add_error_on_fold(model, part, 100.0 - fit_training)
+    return trial
+
+
+def fit_linear_model(
+    data: DataSet, order: int, *, has_feedthrough: bool, kind: str = LINEAR
+) -> SSM:
+    """Fit a linear output-error or ARX model to the training records, as a state-space model. `x+ =
+    A x + B u + B_d d, y = C x + D u`.
+
+    The state of a held-out piece can then be estimated from many samples; the recursion itself
+    would start from as many noisy outputs as it has lags. Measured disturbances are further inputs
+    of the recursion, from one sample before on.
+    """
+    records = delay_disturbances(data) if has_feedthrough else data
+    fit_recursion = FIT_RECURSION[kind]
+    records_with_inputs = records.with_disturbances_as_inputs()
+    delay = 0 if has_feedthrough else 1
+    model = fit_recursion(records_with_inputs, order, delay)
+    f = model.theta[1 : order + 1]
+    input_coefficients = model.theta[order + 1 :]
+    both = input_coefficients.reshape(-1, order).T  # (lags, inputs and disturbances)
+    input_count = data.scale.inputs
+    gains = both[:, :input_count]
+    d = gains[:1] if has_feedthrough else np.zeros((1, gains.shape[1]))
+    by_lag = np.concatenate([gains[1:], 0.0 * d]) if has_feedthrough else gains
+    a = np.eye(order, k=1)
+    a[:, 0] = f
+    scaled_constant = data.scale.output_scale * model.theta[0]
+    denominator_sum = f.sum()
+    offset = scaled_constant / (1.0 - denominator_sum)
+    moved_equilibrium = data.scale.output_equilibrium + offset
+    scale = replace(data.scale, output_equilibrium=moved_equilibrium)
+    b = by_lag + f[:, None] * d
+    first_state = np.eye(1, order)
+    system = StateSpace(a=a, b=b, c=first_state, d=d)
+    if not data.disturbances:
+        return SSM.from_linear(system, data.step_s, scale)
+    gain_count = gains.shape[1]
+    identity_in = LinearScaffold.identity(gain_count)
+    identity_out = LinearScaffold.identity(1)
+    disturbance_start = gains.shape[1]
+    return SSM(
+        linear=system,
+        scaffold_in=identity_in,
+        scaffold_out=identity_out,
+        scale=scale,
+        step_s=data.step_s,
+        b_d=both[:, disturbance_start:],
+    )
+
+
+def delay_disturbances(data: DataSet) -> DataSet:
+    """Copy of a data set in which the measured disturbances are delayed by one sample. An effect
+    within the sample for the input is then one of the sample before for them."""
+    delayed_records = (delay_disturbance(record) for record in data.training)
+    late = tuple(delayed_records)
+    return replace(data, training=late)
+
+
+def delay_disturbance(record: Trajectory) -> Trajectory:
+    """Copy of a record in which the measured disturbances are delayed by one sample."""
+    if record.d is None:
+        return record
+    first_value = record.d[:1]
+    earlier_values = record.d[:-1]
+    late = np.vstack([first_value, earlier_values])
+    return replace(record, d=late)
 
 
 def cross_validate_structured_model(

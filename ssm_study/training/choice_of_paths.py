@@ -9,9 +9,8 @@ import numpy as np
 
 from ssm_study.data.log_dynamics import first_response_lag
 from ssm_study.signals import DataSet
-from ssm_study.training.candidates import Settings
+from ssm_study.training.candidates import Settings, fit_linear_model
 from ssm_study.training.folds import join_training_and_validation
-from ssm_study.training.linear_candidates import fit_linear_model
 from ssm_study.training.search import SettingsSearch
 
 LATE = 3  # samples until the output answers, from which on a dead time is tried

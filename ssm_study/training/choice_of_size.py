@@ -16,8 +16,6 @@ from ssm_study.training.choice_of_paths import DELAY_GAIN, TRIED_SIZE
 from ssm_study.training.search import LINEAR, STRUCTURED, SettingsSearch
 
 LINEAR_ORDERS = (1, 2, 3, 4, 6, 8, 10)
-BOUNDED_ORDERS = (2, 3, 4)  # tried with bounded time constants, too
-BOUNDS = (1 / 6, 1 / 3)  # of the longest stretch that a fold trains on: time constants
 HIGH_LINEAR_ORDERS = (14, 20)  # one by one, while all that are smaller are behind
 ONE_LAYER_ORDERS = (3, 8)  # least and most
 SIZES: tuple[Settings, ...] = (  # the smallest first; with one layer before them
@@ -230,7 +228,7 @@ def try_sizes_without_neurons(search: SettingsSearch) -> list[Candidate]:
 
 def choose_linear_order(search: SettingsSearch) -> Candidate:
     """Choose by cross-validation the smallest order of a linear output-error model that is not
-    clearly worse than the best, and whether its time constants are bounded."""
+    clearly worse than the best."""
     feedthrough = search.setting_value("feedthrough") is True
     delay = 0 if feedthrough else 1 + int(search.setting_value("dead_time"))
     tried = [search.score_linear_model("linear order", order, delay) for order in LINEAR_ORDERS]
@@ -239,38 +237,7 @@ def choose_linear_order(search: SettingsSearch) -> Candidate:
             break
         linear_candidate = search.score_linear_model("linear order", order, delay)
         tried.append(linear_candidate)
-    bounds = time_constant_bounds(search)
-    preferred = [choose_time_constant_bound(search, unbounded, bounds) for unbounded in tried]
-    return simplest_good_candidate(preferred)
-
-
-def time_constant_bounds(search: SettingsSearch) -> list[int]:
-    """Bounds that are tried for the time constants of output-error models, in samples."""
-    lengths = [len(record) for fold in search.folds for record in fold.training]
-    longest = max(lengths)
-    return [round(share * longest) for share in BOUNDS]
-
-
-def choose_time_constant_bound(
-    search: SettingsSearch, unbounded: Candidate, bounds: Sequence[int]
-) -> Candidate:
-    """Choose by cross-validation whether the time constants of an output-error model are bounded.
-
-    A mode about as slow as the records are long can follow a drift of the output that no input has
-    caused. Such a model explains the records that it is trained on, so only held-out pieces count.
-    With a true slow mode the unbounded model predicts them better.
-    """
-    order = int(unbounded.settings["order"])
-    if order not in BOUNDED_ORDERS:
-        return unbounded
-    exceeded = [bound for bound in bounds if unbounded.time_constant > bound]
-    bounded = [search.score_bounded_model(unbounded, bound) for bound in exceeded]
-    candidates = [unbounded, *bounded]
-    best = best_candidate(candidates)
-    most = (1.0 + NEARLY) * best.mean_error_percent
-    complete = [each for each in candidates if len(each.errors) == len(best.errors)]
-    good = (each for each in complete if each.mean_error_percent <= most)
-    return next(good)
+    return simplest_good_candidate(tried)
 
 
 def simplest_certifiable_candidate(

@@ -18,17 +18,16 @@ from ssm_study.training.candidates import (
     Row,
     Settings,
     best_candidate,
+    cross_validate_linear_model,
     cross_validate_structured_model,
     train_further,
 )
 from ssm_study.training.folds import FOLDS, SHORTEST_FOLD
-from ssm_study.training.linear_candidates import cross_validate_linear_model
 
 STRUCTURED = "structured"
 PRODUCTS = "products of input and state"
 TOO_SHORT = f"as no record beside the test has {FOLDS * SHORTEST_FOLD} samples"
 LINEAR_KINDS = (LINEAR, REGRESSION)
-LARGEST_TIME_CONSTANT = "largest_time_constant"  # samples: of the modes of output error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,8 +35,7 @@ class SettingsChoice:
     """Model settings, all of them decided, with the table of candidate models from which they were
     chosen. The table is empty if nothing was tried.
 
-    `linear_kind`: the output-error or ARX model itself is to be taken, of this order and delay, its
-    modes bounded by `largest_time_constant` samples.
+    `linear_kind`: the output-error or ARX model itself is to be taken, of this order and delay.
     `others` are settings of other structures that the folds cannot tell from the chosen one.
     `predictor` are those of a model with products of input and state that predicts far better.
     """
@@ -46,7 +44,6 @@ class SettingsChoice:
     rows: tuple[Row, ...] = ()
     error: float | None = None
     linear_kind: str | None = None
-    largest_time_constant: int | None = None
     others: tuple[StructuredSpec, ...] = ()
     predictor: BilinearSpec | None = None
 
@@ -61,9 +58,7 @@ class SettingsChoice:
             return f"nothing, {TOO_SHORT}; the defaults: {settings}" if settings else ""
         compared = f"of {len(self.rows)} models compared on {FOLDS} folds"
         predicts = f"; {PRODUCTS} predict" if self.predictor is not None else ""
-        samples = self.largest_time_constant
-        bounded = f", time constants of at most {samples} samples" if samples is not None else ""
-        return f"{settings}{bounded}: {compared}{predicts}"
+        return f"{settings}: {compared}{predicts}"
 
 
 def setting_text(value: object) -> str:
@@ -128,18 +123,6 @@ class SettingsSearch:
         trial = cross_validate_linear_model(self.folds, order, delay, kind)
         return self.add_candidate(question, kind, settings, trial)
 
-    def score_bounded_model(self, unbounded: Candidate, bound: int) -> Candidate:
-        """Cross-validate a linear output-error model with its time constants bounded, in samples.
-        It is given up if it is far behind the unbounded model of its order."""
-        settings = unbounded.settings | {LARGEST_TIME_CONSTANT: bound}
-        tried = self.find_candidate(LINEAR, settings)
-        if tried is not None:
-            return tried
-        order = int(settings["order"])
-        delay = int(settings["delay"])
-        trial = cross_validate_linear_model(self.folds, order, delay, LINEAR, bound, unbounded)
-        return self.add_candidate("slowest mode", LINEAR, settings, trial)
-
     def setting_value(self, name: str) -> Any:
         """Value of a model setting as decided so far or as the user set it."""
         own_value = getattr(self.spec, name)
@@ -200,7 +183,6 @@ class SettingsSearch:
             example=errors.example,
             training_error=training_error,
             fits=fits,
-            time_constant=errors.time_constant,
         )
         self.tried.append(candidate)
         self.announce(candidate.describe)
@@ -225,23 +207,16 @@ class SettingsSearch:
         chosen = [*self.chosen]
         error = None
         linear_kind = None
-        largest_time_constant = None
         if candidate is not None:
             chosen.append(candidate)
             error = candidate.mean_error_percent
             linear_kind = candidate.model if candidate.model in LINEAR_KINDS else None
-            largest_time_constant = candidate.settings.get(LARGEST_TIME_CONSTANT)
         decided_specs = (self._candidate_settings(other) for other in others)
         other_specs = tuple(decided_specs)
         spec = self._candidate_settings(candidate)
         rows = self.candidate_rows(chosen)
         return SettingsChoice(
-            spec=spec,
-            rows=rows,
-            error=error,
-            linear_kind=linear_kind,
-            largest_time_constant=largest_time_constant,
-            others=other_specs,
+            spec=spec, rows=rows, error=error, linear_kind=linear_kind, others=other_specs
         )
 
     def _candidate_settings(self, candidate: Candidate | None) -> StructuredSpec:

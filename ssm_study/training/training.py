@@ -165,8 +165,7 @@ class Training:
         if choice.linear_kind is None:
             best = self._train_from_best_short_runs(choice.spec, data, session)
             return self._replace_by_other_structures(best, choice, data, session)
-        from ssm_study.training.candidates import ENDED_LINEAR
-        from ssm_study.training.linear_candidates import fit_linear_model
+        from ssm_study.training.candidates import ENDED_LINEAR, fit_linear_model
         from ssm_study.training.metrics import Identification
 
         began = time.perf_counter()
@@ -175,11 +174,7 @@ class Training:
         direct = choice.spec.feedthrough is True
         order = int(choice.spec.order)
         model: Any = fit_linear_model(
-            records,
-            order,
-            has_feedthrough=direct,
-            kind=choice.linear_kind,
-            largest_time_constant=choice.largest_time_constant,
+            records, order, has_feedthrough=direct, kind=choice.linear_kind
         )
         if dead_time:
             model = model.with_dead_time(dead_time)

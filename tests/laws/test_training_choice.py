@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from models_cases import data_set
 
-from ssm_study.models.baselines.output_error import fit_output_error
+from ssm_study.models.baselines.regression import fit_output_error
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured_spec import AUTO, StructuredSpec
 from ssm_study.refusal import BadRequest
@@ -20,6 +20,7 @@ from ssm_study.training.candidates import (
     Candidate,
     CandidateErrors,
     best_candidate,
+    fit_linear_model,
     is_far_worse_than_best,
     simplest_good_candidate,
 )
@@ -31,7 +32,6 @@ from ssm_study.training.folds import (
     join_training_and_validation,
     make_folds,
 )
-from ssm_study.training.linear_candidates import fit_linear_model
 from ssm_study.training.metrics import records_fit_percent
 from ssm_study.training.optimisers import Lbfgs
 from ssm_study.training.record_batch import RecordBatch

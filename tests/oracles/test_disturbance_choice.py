@@ -20,9 +20,9 @@ from ssm_study.models.warm_start import preceding_log, state_from_preceding_log
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 from ssm_study.systems import StateSpace
+from ssm_study.training.candidates import cross_validate_linear_model, fit_linear_model
 from ssm_study.training.choice_of_paths import is_nearly_integrating
 from ssm_study.training.folds import join_training_and_validation, make_folds
-from ssm_study.training.linear_candidates import cross_validate_linear_model, fit_linear_model
 
 SLOW = 0.99
 SAMPLES = 1200

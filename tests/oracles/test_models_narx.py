@@ -5,10 +5,10 @@ import pytest
 
 from ssm_study.data.assembly import assemble_dataset
 from ssm_study.models import best_baseline
-from ssm_study.models.baselines.output_error import fit_output_error
 from ssm_study.models.baselines.regression import (
     fit_arx,
     fit_narx_models,
+    fit_output_error,
     regression_arrays,
     select_regressors,
 )

@@ -9,8 +9,12 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.models.baselines.output_error import fit_output_error
-from ssm_study.models.baselines.regression import NarxModel, fit_arx, fit_narx_models
+from ssm_study.models.baselines.regression import (
+    NarxModel,
+    fit_arx,
+    fit_narx_models,
+    fit_output_error,
+)
 from ssm_study.models.identified import SSM, Simulator
 from ssm_study.models.initial_system import Pairs
 from ssm_study.models.spec import ModelSpec, scale_records
