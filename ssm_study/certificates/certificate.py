@@ -19,7 +19,7 @@ from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import DUAL, Neurons, Problem, Solution, dual_system
 from ssm_study.certificates.stored_fields import read_fields
 from ssm_study.certificates.theorem import AGAIN, Blocks, Theorem, VerificationContext, find_theorem
-from ssm_study.certificates.withdrawn_parts import TOLERANCE, is_withdrawn, refuse_withdrawn
+from ssm_study.certificates.withdrawn_parts import TOLERANCE, is_withdrawn, refuse_withdrawn_theorem
 from ssm_study.refusal import BadRequest, require
 from ssm_study.systems import Gains, JacobianBall
 
@@ -386,7 +386,7 @@ def read_certificate(label: str, content: Any) -> Any:
     stored = {name: value for name, value in content.items() if name not in derived}
     part = BESIDE.get(label, label)
     named = str(stored.setdefault("theorem", part))
-    refuse_withdrawn(f"{where}.theorem", named)
+    refuse_withdrawn_theorem(f"{where}.theorem", named)
     theorem = find_theorem(named)
     name = theorem.name()
     fits = theorem.part == part and OF_LIMITS.get(label, name) == name

@@ -19,7 +19,7 @@ def is_withdrawn(label: str, content: Any) -> bool:
     return named in WITHDRAWN_PARTS.get(label, ())
 
 
-def refuse_withdrawn(field: str, theorem: str) -> None:
+def refuse_withdrawn_theorem(field: str, theorem: str) -> None:
     """Raise `BadRequest` if a certificate is by a theorem of an earlier version that no longer
     exists."""
     if theorem in WITHDRAWN_THEOREMS:

@@ -98,19 +98,19 @@ def canonical_json(value: Any) -> str:
     """
     try:
         return json.dumps(
-            _normalise_numbers(value), sort_keys=True, separators=(",", ":"), allow_nan=False
+            _canonical_settings(value), sort_keys=True, separators=(",", ":"), allow_nan=False
         )
     except (TypeError, ValueError) as error:
         remedy = "use finite numbers, text or lists"
         raise BadRequest("config", value, str(error), remedy) from error
 
 
-def _normalise_numbers(value: Any) -> Any:
-    """Copy of plain containers with whole floats as integers and tuples as lists."""
+def _canonical_settings(value: Any) -> Any:
+    """Copy of nested settings with whole floats as integers and tuples as lists."""
     if isinstance(value, Mapping):
-        return {str(key): _normalise_numbers(item) for key, item in value.items()}
+        return {str(key): _canonical_settings(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_normalise_numbers(item) for item in value]
+        return [_canonical_settings(item) for item in value]
     if isinstance(value, float) and value.is_integer():
         return int(value)
     return value

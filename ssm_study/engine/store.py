@@ -117,7 +117,7 @@ class Store(Stages):
         temporary = final.with_name(f".tmp-{final.name}-{machine_name()}-{secrets.token_hex(4)}")
         # Beside its final name: a rename cannot leave the file system.
         temporary.mkdir(parents=True)
-        _clear_leftovers(temporary, final)
+        _remove_abandoned_folders(temporary, final)
         try:
             started = time.perf_counter()
             processor_started = time.process_time()
@@ -156,7 +156,7 @@ def machine_name() -> str:
     return digest_of_value(socket.gethostname())[:8]
 
 
-def _clear_leftovers(temporary: Path, final: Path) -> None:
+def _remove_abandoned_folders(temporary: Path, final: Path) -> None:
     """Remove the temporary folders that killed processes left. A checkpoint in them (`CHECKPOINT`)
     moves to the new folder, to continue from.
 

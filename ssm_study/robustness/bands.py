@@ -22,7 +22,7 @@ def line_powers(spectrum: Complex[np.ndarray, "K c"]) -> LinePowers:
 
 
 def safe_ratio(numerators: BandValues, powers: BandPowers) -> BandValues:
-    """Ratio of values to powers, with powers of zero replaced by the smallest positive number.
+    """Ratio of values to signal powers; a power of zero counts as the smallest positive number.
 
     The spectrum of an exact square wave has bands without any power. An error there makes the ratio
     some 1e300, its root 1e150, which stand for an unbounded gain. The stability margin of such a

@@ -88,10 +88,10 @@ def leaky_rectifier(
 def unreached_range_texts(
     name: str, breakpoint_rows: Float[np.ndarray, "m h"], signal: Float[np.ndarray, "T m"]
 ) -> Iterator[str]:
-    """Texts on breakpoints and slopes of a piecewise-linear map that lie outside the range of a
-    recorded signal.
+    """Describe which numbers of a piecewise-linear map no recorded signal reaches: breakpoints
+    outside the signal's range, and slopes of segments outside it.
 
-    Of each row of numbers one place: `model.json scaffold_in.slopes.0: 0, 1, 16`.
+    One text for each row of numbers: `model.json scaffold_in.slopes.0: 0, 1, 16`.
     """
     for channel, points in enumerate(breakpoint_rows):
         lowest = float(signal[:, channel].min(initial=0.0))  # the map is summed up from zero

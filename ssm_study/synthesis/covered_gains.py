@@ -29,7 +29,7 @@ from ssm_study.synthesis.decay_response import NO_DECAYS, largest_settling_time_
 from ssm_study.synthesis.deployed import certificate_at_largest_rate
 from ssm_study.synthesis.expected_response import FASTER
 from ssm_study.synthesis.integrated_error import relative_response_areas
-from ssm_study.synthesis.measured_discs_choice import LoopCoverage, usual_overestimation_factor
+from ssm_study.synthesis.measured_discs_choice import LoopCoverage, expected_coverage_loss
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
 from ssm_study.systems import Gains, JacobianBalls
 
@@ -93,7 +93,7 @@ class GainSearch:
         A proof keeps a little less than its frequencies promise: where it keeps too little, the
         search goes on for as much more.
         """
-        wanted_coverage = usual_overestimation_factor(self.model) * target_coverage
+        wanted_coverage = expected_coverage_loss(self.model) * target_coverage
         certificates = 1 if self.is_brief else CERTIFICATES
         for _ in range(certificates):
             best = self.search_best_gains(start_design, wanted_coverage, rounds, largest_area)

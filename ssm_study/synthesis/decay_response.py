@@ -119,8 +119,8 @@ def _settling_sample(
 def _closed_loop_outputs(
     model: Model, gains: Gains, decays: Decays, limits: Ends | tuple[float, float]
 ) -> Float[np.ndarray, "P N T p"]:
-    """Outputs of the closed loop with each pair of controller and observer, simulated from the
-    initial state of each decay."""
+    """Simulate the outputs of the closed loop with each pair of controller and observer, from
+    the initial state of each record without control."""
     transposed_gains = gains.k.transpose(0, 2, 1)
     k = transposed_gains[:, : model.order]
     l_ = gains.l.transpose(0, 2, 1)

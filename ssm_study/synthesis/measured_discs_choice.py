@@ -62,7 +62,7 @@ def choose_covering_design(
     places: tuple[int, ...] = LOOKED_AT
     if isinstance(model.system, StructuredSystem):
         places = WITH_NEURONS if requested_coverage is None else WITH_NEURONS + FARTHER
-    lost = usual_overestimation_factor(model)
+    lost = expected_coverage_loss(model)
     target = lost * (1.0 if requested_coverage is None else requested_coverage)
     walk = GainPairSearch(
         pairs=iter(enumerate(pairs)), make=make_design, places=places, lost=lost, target=target
@@ -99,9 +99,9 @@ def choose_covering_design(
     return (covered, COVERED) if substitute is None else (substitute, SEARCHED)
 
 
-def usual_overestimation_factor(model: Model) -> float:
-    """Largest usual factor by which the coverage (ratio of tolerated to recorded model error)
-    computed frequency by frequency exceeds the coverage that is then proved."""
+def expected_coverage_loss(model: Model) -> float:
+    """Factor to expect between the ratio of tolerated to recorded model error as computed
+    frequency by frequency and as proved afterwards: most proofs lose no more."""
     return LOST_WITH_NEURONS if isinstance(model.system, StructuredSystem) else LOST
 
 
@@ -126,8 +126,8 @@ class GainPairSearch:
     unseen: Design | None = None
 
     def first_certified_design(self) -> Design | None:
-        """Certified design with the best expected response on the plant, the first in a search
-        through gain pairs."""
+        """Certify pairs of gains, fastest expected response first, and return the first design that
+        can be certified; `None` if no pair near the fastest can be."""
         for place, pair in self.pairs:
             design = self.make(pair)
             if design is not None:

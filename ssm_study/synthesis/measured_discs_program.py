@@ -156,8 +156,8 @@ class FormsAtAngles:
 def loop_without_filters(
     theorem: type[MeasuredDiscs], context: VerificationContext
 ) -> tuple[Any, dict[str, int]]:
-    """Closed-loop matrices that the theorem on discs of model errors uses without weighting
-    filters, and the number of multipliers by name."""
+    """Closed-loop matrices and names with counts of the multipliers for the theorem on bounded
+    model errors, with all weighting filters set to zero."""
     loop = theorem.loop_matrices(context)
     lambda_out = 3 if loop["beta_out"] > 0 else 0
     counts = {"lambda_p": 1, "lambda_out": lambda_out}

@@ -39,7 +39,7 @@ UNKNOWN = "{} the input has next to no power, so nothing separates mismatch from
 def seeks_coverage(
     model: Model, requested_coverage: float | None, premise: ModelErrorSpectra
 ) -> bool:
-    """Whether a run searches for a certificate that holds for the recorded model error. With
+    """Whether a run seeks coverage, a certificate that holds for the recorded model error. With
     neurons, where this takes a minute, it does so only if the records separate noise from model
     error, or a coverage is requested."""
     return isinstance(model, SSM) or requested_coverage is not None or premise.separates_noise

@@ -155,8 +155,8 @@ class WeightProgram:
 
     @property
     def coefficient_matrices(self) -> Any:
-        """Coefficient matrix of each unknown of the weight optimisation in the constraint at each
-        frequency."""
+        """Matrix by which each unknown enters the linear matrix inequality at each frequency, where
+        the weights of the model error's bound are optimised."""
         angles = self.grid.angles
         basis_values = self.basis.basis_values(angles)
         phi = basis_values[:, :, None, None]
@@ -166,8 +166,8 @@ class WeightProgram:
         return np.concatenate([of_x, of_y, multipliers])
 
     def requirement_coefficients(self) -> Float[np.ndarray, "I n"]:
-        """Coefficients of the linear inequalities that the recorded model errors impose on the
-        disc's weights."""
+        """Coefficients of the linear inequalities by which the weights of the model error's bound
+        must reach every recorded model error."""
         rows = []
         for item in self.items:
             phi = self.basis.basis_values(item.angles)

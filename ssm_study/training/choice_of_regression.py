@@ -76,8 +76,8 @@ def choose_regression(
 
 
 def can_try_regression(search: SettingsSearch) -> bool:
-    """Whether the settings allow a linear ARX model with one output and any order, and without an
-    integrator."""
+    """Whether the settings leave the order open, allow a linear model without an integrator, and
+    the log has one output: then a linear ARX model may be chosen."""
     has_one_output = search.folds[0].scale.outputs == 1
     is_open = has_one_output and search.is_undecided("order") and search.allows_linear_model
     return is_open and not search.has_integrator

@@ -242,12 +242,12 @@ class TorchFit(pl.LightningModule):
         more than a step of a small model."""
         optimiser: Any = self.optimizers()
         for _ in range(self.settings.optimiser.calls_per_epoch):
-            optimiser.step(self._loss_and_gradient)
+            optimiser.step(self._backpropagate_loss)
         rates: Any = self.lr_schedulers()
         if rates is not None:
             rates.step()
 
-    def _loss_and_gradient(self) -> Tensor:
+    def _backpropagate_loss(self) -> Tensor:
         """Compute the training loss of the current model and its gradient."""
         self.zero_grad()
         loss = self.training_loss()
@@ -361,9 +361,9 @@ class TorchFit(pl.LightningModule):
             optimiser = torch.optim.LBFGS(
                 parameters, max_iter=POLISH_STEPS, line_search_fn="strong_wolfe"
             )
-            first = float(self._loss_and_gradient())
-            optimiser.step(self._loss_and_gradient)
-            if not float(self._loss_and_gradient()) <= first:  # also where it is NaN
+            first = float(self._backpropagate_loss())
+            optimiser.step(self._backpropagate_loss)
+            if not float(self._backpropagate_loss()) <= first:  # also where it is NaN
                 self.load_state_dict(before)
         frozen_model = self.model.to_numpy(self.data)
         return frozen_model, ""
