@@ -39,7 +39,7 @@ def angle_wrap_sentences(columns: Mapping[str, Signal], output: str) -> list[str
     return [f"{remark}: {ANGLE_REMEDY}" for remark in angle_remarks([y[np.isfinite(y)]], "output")]
 
 
-def angle_remarks(pieces: Sequence[Signal], name: str) -> list[str]:
+def angle_remarks(pieces: Sequence[Float[np.ndarray, "..."]], name: str) -> list[str]:
     """Remark on an output, given as pieces without gaps, that jumps by a whole turn, like an angle
     that wraps around; none without such jumps."""
     moving = [piece for piece in pieces if len(piece) >= 2]
@@ -59,7 +59,7 @@ def angle_remarks(pieces: Sequence[Signal], name: str) -> list[str]:
 
 
 def output_angle_remarks(
-    pieces: Sequence[Float[np.ndarray, "T p"]], channels: Sequence[Channel]
+    pieces: Sequence[Float[np.ndarray, "... p"]], channels: Sequence[Channel]
 ) -> list[str]:
     """Remark on each output of a log that jumps by a whole turn, like an angle that wraps
     around."""

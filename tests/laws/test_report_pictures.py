@@ -188,7 +188,7 @@ def test_a_picture_that_a_run_does_not_have_is_named_with_its_reason(tmp_path: P
     *drawn, last = pictures_of_run(run_folder)
     assert last["name"] == "missing"
     assert last["charts"] == []
-    assert "Coverage by band: No proof" in last["caption"]
+    assert "Coverage by band: It is not proved" in last["caption"]
     names = [entry["name"] for entry in drawn]
     assert names
     assert "missing" not in names

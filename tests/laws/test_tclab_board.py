@@ -144,10 +144,10 @@ def test_the_heater_is_off_whatever_ends_it(cause: type, plant: Any, fake: FakeB
     real = replace(plant, hardware=True)
 
     class Failing(PI):
-        def next_states(self, *asked: Any) -> Any:
+        def next_memory(self, *asked: Any) -> Any:
             if len(fake.sent) == 3 and cause is not KeyboardInterrupt:
                 raise cause
-            return super().next_states(*asked)
+            return super().next_memory(*asked)
 
     fake.interrupted_at = 25.0 if cause is KeyboardInterrupt else np.inf
     law = Failing(gain=4.0, integral_s=200.0, input_equilibrium=40.0, step_s=STEP_S)

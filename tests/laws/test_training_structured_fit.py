@@ -143,7 +143,7 @@ def test_a_neuron_that_does_nothing_is_removed_and_the_metric_stays(
         ({"integrating_output": True, "output_knots": 4}, "model.output_knots"),
         (
             {"integrating_output": True, "neurons": 0},
-            "model.neurons = 0: without neurons no integrator",
+            "model.neurons = 0: model.integrating_output=true needs neurons",
         ),
     ],
 )

@@ -127,7 +127,7 @@ def repeat_never(_: Plant) -> object:
 
 REFUSED_WRAPPERS = [
     (reach_only_beyond_rest, "do not enclose rest"),
-    (limit_two_inputs, "there are 1 inputs"),
+    (limit_two_inputs, "the plant has 1 inputs"),
     (delay_by_nothing, "samples = 0"),
     (hold_for_no_time, "hold_s = 0.0"),
     (repeat_never, "frequency_hz = 0.0"),

@@ -236,7 +236,9 @@ def test_the_internal_model_is_the_one_that_was_requested(smoke_run: Path) -> No
     without = RiccatiSynthesis(**rates, integral_weight=0.01)
     synthesis = replace(without, internal_model=list(requested))
     design = synthesis.design(run.model, balls)
-    vars(run)["specification"] = SimpleNamespace(synthesis=SimpleNamespace(modes=requested))
+    vars(run)["specification"] = SimpleNamespace(
+        synthesis=SimpleNamespace(internal_model_signals=requested)
+    )
     vars(run)["design"] = design
     (finding,) = check_internal_model(run)
     assert finding.holds
