@@ -36,7 +36,9 @@ def angle_wrap_sentences(columns: Mapping[str, Signal], output: str) -> list[str
     if place is None:
         return []
     y = list(columns.values())[place]
-    return [f"{remark}: {ANGLE_REMEDY}" for remark in angle_remarks([y[np.isfinite(y)]], "output")]
+    finite = y[np.isfinite(y)]
+    remarks = angle_remarks([finite], "output")
+    return [f"{remark}: {ANGLE_REMEDY}" for remark in remarks]
 
 
 def angle_remarks(pieces: Sequence[Float[np.ndarray, "..."]], name: str) -> list[str]:

@@ -1,7 +1,7 @@
 """Records of an MCAP file, with every checksum verified.
 
 The library's own stream reader unpacks each number of each message by itself, and the index of
-messages, which nothing here needs. Read that way, recordings take half the time of `verify`.
+messages, which nothing here needs. Read that way, the recordings of a run take over twice as long.
 """
 
 import struct

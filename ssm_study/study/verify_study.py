@@ -64,8 +64,9 @@ def check_tables(study: Path) -> CheckedClaim | None:
         return None
     defects = table_file_defects(study)
     remedy = f"`ssm-study gather {study}` writes both tables again"
-    found = f"{'; '.join(defects)}; {remedy}" if defects else "as the records of the runs say"
-    return CheckedClaim(claim=f"{PARQUET}, {CSV}", holds=not defects, found=found)
+    problems = "; ".join(defects)
+    observation = f"{problems}; {remedy}" if defects else "as the records of the runs say"
+    return CheckedClaim(claim=f"{PARQUET}, {CSV}", holds=not defects, found=observation)
 
 
 @dataclass(frozen=True, kw_only=True)
