@@ -18,7 +18,7 @@ from ssm_study.durable import PATIENCE_S, file_lock, link_or_copy_file, write_at
 from ssm_study.engine import records
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, LOCK, LOST, OK, RECORD, RUNNING
 from ssm_study.engine.stages import StageResult
-from ssm_study.engine.store import read_intact_manifest, write_manifest
+from ssm_study.engine.store import MANIFEST, read_intact_manifest, write_manifest
 from ssm_study.refusal import BadRequest, require
 
 TRACEBACK = "traceback.txt"
@@ -268,6 +268,7 @@ def write_failure(
             with suppress(BadRequest):  # what no record holds may be the very cause of the failure
                 storable_facts[name] = records.storable_value(name, value)
         closing = {"status": FAILED, "ended_utc": _utc_now()} | dict(error)
+        (folder / MANIFEST).unlink(missing_ok=True)  # it would seal a finished run
         records.write_record(folder, storable_facts | closing)
 
 

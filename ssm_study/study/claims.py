@@ -155,6 +155,8 @@ def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
         judged = evidence_columns(run.judgement)
         stated = evidence_columns(read_judgement(run.path))
         observation = f"records and model give {judged['evidence']}"
+        if stated != judged:
+            observation = f"{observation}, with other findings than the file's"
         yield CheckedClaim(claim="evidence.json", holds=stated == judged, found=observation)
         yield DerivedColumns(judged)
     if "benchmark" in records.metadata:

@@ -9,7 +9,14 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.certificates.certificate import SIDES, WITHDRAWN, Infeasible, StateFeedback
+from ssm_study.certificates.certificate import (
+    BESIDE,
+    OF_LIMITS,
+    SIDES,
+    WITHDRAWN,
+    Infeasible,
+    StateFeedback,
+)
 from ssm_study.certificates.theorem import (
     UNFIT,
     Theorem,
@@ -61,6 +68,7 @@ from ssm_study.synthesis.sine_judgement import (
 from ssm_study.synthesis.withheld_coverage import withhold_coverage
 from ssm_study.systems import JacobianBalls, System
 
+NOT_SEARCHED_AGAIN = "the file claims no such proof; the search for one is not repeated"
 COVERAGE_COLUMNS = ("coverage", "coverage_reason", "coverage_reference", "coverage_needed")
 
 
@@ -80,6 +88,7 @@ def check_certificate(run: RunFiles) -> Claims:
     yield UncheckedValues({f"certificate.{label}": WITHDRAWN for label in design.withdrawn})
     if TOLERANCE in design.withdrawn:
         yield UncheckedValues({"certified_tolerance": WITHDRAWN})
+    yield UncheckedValues(absent_certificate_reasons(run))
     for label, part in design.certificates_by_name.items():
         yield check_stored_certificate(run, label, part, sentences)
     yield from check_internal_model(run)
@@ -94,6 +103,18 @@ def check_certificate(run: RunFiles) -> Claims:
     facts |= recompute_sine_columns(run, balls, mismatch, facts.get("coverage"))
     yield DerivedColumns(withhold_predictions(facts, run.record.get("evidence")))
     yield UncheckedValues(missing_column_reasons(run) | unrepeated_search_reason(run))
+
+
+def absent_certificate_reasons(run: RunFiles) -> dict[str, str]:
+    """Further certificates that the file of a feasible design may hold and does not, each with the
+    reason why that is not checked."""
+    design = run.design
+    if not design.feasible:
+        return {}
+    possible = [label for label in BESIDE if isinstance(run.model, SSM) or label not in OF_LIMITS]
+    stored = {*design.extra_certificates, *design.withdrawn}
+    absent = [f"certificate.{label}" for label in possible if label not in stored]
+    return dict.fromkeys(absent, NOT_SEARCHED_AGAIN)
 
 
 def missing_column_reasons(run: RunFiles) -> dict[str, str]:

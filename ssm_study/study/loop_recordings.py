@@ -80,6 +80,10 @@ def read_rollouts(path: Path) -> tuple[Rollouts, RecordedCases]:
     signals: dict[str, Any] = {field: recording[topic] for field, topic in TOPICS.items()}
     bound = np.array(json.loads(about["bound"]), dtype=float)
     left_at_sample = np.array(json.loads(about["left_at_sample"]), dtype=int)
+    cases = len(references)
+    is_complete = len(left_at_sample) == cases
+    problem = f"holds {cases} of {len(left_at_sample)} simulations"
+    require(is_complete, "recording", path.name, problem, "run the study again")
     run = Rollouts(
         step_s=float(about["step_s"]),
         reference=references[0],

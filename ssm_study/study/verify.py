@@ -21,9 +21,11 @@ from ssm_study.engine.records import (
     LOST,
     OK,
     RECORD,
+    RUNNING,
     read_record,
     storable_value,
 )
+from ssm_study.engine.store import MANIFEST
 from ssm_study.refusal import escape_control_characters, require
 from ssm_study.renamed import withdrawn_setting
 from ssm_study.study.claims import OF_A_BASELINE, SECTIONS
@@ -40,6 +42,7 @@ from ssm_study.study.run_files import RunFiles, error_text
 from ssm_study.table.columns import find_declaration
 from ssm_study.withdrawn import WITHDRAWN_COLUMNS
 
+CLAIMS_NOTHING = (FAILED, LOST, RUNNING)
 SECTION_CLAIMS = {"settings": "requested", "records": "data", "loops": "loop"}
 UNGIVEN = "nothing in the run's files gives it"
 NOT_DERIVED = "cannot be derived: "
@@ -149,6 +152,9 @@ def verify(run: Path) -> Verification:
     record = read_record(run) or {}
     require(bool(record), "run", run, f"there is no {RECORD}", "give the folder of one run")
     status = record.get("status")
+    contradiction = contradicted_status(run, record)
+    if contradiction:
+        return Verification(findings=(contradiction,), unchecked={})
     problem = "the run failed and claims nothing"
     trace = run / "traceback.txt"
     remedy = f"see {trace}" if trace.is_file() else f"see error_message in {run / RECORD}"
@@ -162,6 +168,23 @@ def verify(run: Path) -> Verification:
         remedy = "the command that began it runs it again"
     require(status in (OK, INFEASIBLE), "run", run, problem, remedy)
     return verify_files(RunFiles(path=run.absolute(), record=record))
+
+
+def contradicted_status(run: Path, record: Mapping[str, Any]) -> CheckedClaim | None:
+    """Failed check for a run that is recorded as failed or unfinished and has the traces of a
+    finished one; None for any other run.
+
+    Only a finished run writes its duration, and its manifest is written before its record.
+    """
+    status = record.get("status")
+    trace = ""
+    if record.get("seconds") is not None:
+        trace = f"{RECORD} gives the duration of a finished run"
+    elif status == FAILED and (run / MANIFEST).is_file():
+        trace = f"{MANIFEST} seals the files of a finished run"
+    if not trace or status not in CLAIMS_NOTHING:
+        return None
+    return CheckedClaim(claim="status", holds=False, found=f"stored {status}, yet {trace}")
 
 
 def verify_files(run: RunFiles) -> Verification:

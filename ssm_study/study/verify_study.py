@@ -5,14 +5,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ssm_study.engine.records import FAILED, LOST, RUNNING, read_record
+from ssm_study.engine.records import read_record
 from ssm_study.refusal import BadRequest, require
 from ssm_study.study.findings import CheckedClaim
-from ssm_study.study.verify import Verification, verify
+from ssm_study.study.verify import CLAIMS_NOTHING, Verification, verify
 from ssm_study.table.folders import abbreviate_names
 from ssm_study.table.gather import CSV, PARQUET, table_file_defects
-
-CLAIMS_NOTHING = (FAILED, LOST, RUNNING)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,9 +10,10 @@ from typing import Any
 
 import pytest
 from mcap.writer import Writer
-from verify_lies import failing, sealed_anew
+from verify_lies import edited, failing, sealed_anew
 
 from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.withdrawn_parts import TOLERANCE
 from ssm_study.cli.main import main
 from ssm_study.data.mcap import METADATA_NAME, read_mcap
 from ssm_study.data.mcap_contents import list_unread_contents
@@ -22,7 +23,7 @@ from ssm_study.engine.runs import write_run_manifest
 from ssm_study.engine.settings import plain_settings, run_name
 from ssm_study.report.outcome import coverage_rows, prediction_rows
 from ssm_study.study.claims import split_confirmable_settings
-from ssm_study.study.design_claims import check_internal_model
+from ssm_study.study.design_claims import NOT_SEARCHED_AGAIN, check_internal_model
 from ssm_study.study.findings import UnconfirmableSettings
 from ssm_study.study.name_claims import expected_name_part
 from ssm_study.study.run_files import RunFiles
@@ -70,6 +71,16 @@ def test_a_failed_coverage_is_not_retold_as_no_proof(copied_run: Path) -> None:
     other = UNPROVED if stated != UNPROVED else "nobody looked"
     sealed_anew(copied_run, **claims, coverage_reason=other)
     assert "coverage_reason" in failing(copied_run)
+
+
+def test_a_proof_that_was_taken_out_is_listed_as_not_checked(copied_run: Path) -> None:
+    """It claims less than it could: no lie, but said."""
+    assert f"certificate.{TOLERANCE}" not in verify(copied_run).unchecked
+    edited(copied_run / "certificate.json", lambda parts: parts.pop(TOLERANCE))
+    sealed_anew(copied_run, certified_tolerance=None)
+    verification = verify(copied_run)
+    assert verification.holds
+    assert verification.unchecked[f"certificate.{TOLERANCE}"] == NOT_SEARCHED_AGAIN
 
 
 def test_the_outcome_of_an_older_record_says_what_it_does_not_state() -> None:

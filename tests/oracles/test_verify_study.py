@@ -8,7 +8,11 @@ import pandas as pd
 import pytest
 
 from ssm_study.cli.main import main
-from ssm_study.engine.records import write_record
+from ssm_study.engine.records import read_record, write_record
+from ssm_study.engine.runs import write_failure
+from ssm_study.engine.store import MANIFEST
+from ssm_study.refusal import BadRequest
+from ssm_study.study.verify import verify
 from ssm_study.table.gather import CSV, PARQUET, gather, table_file_defects
 
 FAILED_RUN = "failed-run-0"
@@ -52,6 +56,37 @@ def test_a_claim_that_does_not_hold_is_named_with_its_run(
     assert finished.startswith(f"FAILS    {smoke_run.name}: ")
     assert cause == "  FAILS  files: changed since: model.json"
     assert f"1 does not ({smoke_run.name})" in summary
+
+
+@pytest.mark.parametrize("status", ["failed", "running"])
+def test_a_finished_run_that_is_called_failed_or_unfinished_is_named(
+    status: str, study: Path, smoke_run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The duration tells it, also where the seal was taken away."""
+    run = study / smoke_run.name
+    record = (read_record(run) or {}) | {"status": status, "error_message": "no memory"}
+    write_record(run, record)
+    (run / MANIFEST).unlink()
+    _, finished, cause, _, summary = output_lines(study, capsys, status=1)
+    assert finished == f"FAILS    {run.name}: 0 of 1 claims hold; 0 not checked"
+    word = "lost" if status == "running" else status
+    assert (
+        cause == f"  FAILS  status: stored {word}, yet record.json gives the duration of a "
+        "finished run"
+    )
+    assert f"1 does not ({run.name})" in summary
+
+
+def test_a_failed_run_with_the_seal_of_a_finished_one_is_named(study: Path) -> None:
+    failed = study / FAILED_RUN
+    (failed / MANIFEST).write_text("{}")
+    (finding,) = verify(failed)
+    assert str(finding) == (
+        "FAILS  status: stored failed, yet manifest.json seals the files of a finished run"
+    )
+    write_failure(failed, {}, {"error_message": "no space"}, text="")
+    with pytest.raises(BadRequest, match="the run failed and claims nothing"):
+        verify(failed)
 
 
 def test_json_gives_each_run(

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from verify_lies import edited
 
+from ssm_study.data.mcap import read_mcap, write_mcap
 from ssm_study.durable import file_lock
 from ssm_study.engine.records import LOCK, write_record
 from ssm_study.refusal import BadRequest
@@ -101,6 +102,15 @@ def finding(entry: dict[str, Any]) -> Damage:
     return writing("evidence.json", text)
 
 
+def without_last_case(run: Path) -> None:
+    """Damage that takes the last of four closed loops out of the recording."""
+    path = run / "closed_loop.mcap"
+    groups, about = read_mcap(path)
+    others = tuple(group for group in groups if not group.topic.startswith("/case_3/"))
+    assert len(others) < len(groups)
+    write_mcap(path, others, about)
+
+
 PLAIN: dict[str, tuple[Damage, str]] = {}
 PLAIN["a shape"] = (
     shorter("observer", "l"),
@@ -125,7 +135,11 @@ PLAIN["a key"] = (
     "evidence.json [0] = {'levl': 'note'}: is no finding (level and sentence); "
     "run the study again.",
 )
-FOREIGN_WORDS = ("operand", "dimension", "tuple", "attribute", "argument")
+PLAIN["a case of the loop"] = (
+    without_last_case,
+    "closed_loop.mcap: holds 3 of 4 simulations; run the study again.",
+)
+FOREIGN_WORDS = ("operand", "dimension", "tuple", "attribute", "argument", "boolean")
 
 
 @pytest.mark.parametrize("what", PLAIN)
