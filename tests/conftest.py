@@ -251,6 +251,27 @@ def made_once() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
+def each_text_scanned_once() -> Iterator[None]:
+    """Scan a source file once for equal content: tests read it before and after each edit."""
+    from ssm_study.engine import fingerprint
+
+    scan = fingerprint._scan_source
+    scanned: dict[tuple[bytes, str, bool], fingerprint.Module] = {}
+
+    def scan_once(path: Path, module: str) -> fingerprint.Module:
+        content = path.read_bytes()
+        is_package = path.name == "__init__.py"
+        key = content, module, is_package
+        if key not in scanned:
+            scanned[key] = scan(path, module)
+        return scanned[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fingerprint, "_scan_source", scan_once)
+        yield
+
+
+@pytest.fixture(scope="module")
 def without_baselines() -> Iterator[None]:
     """Runs of a log fit no simple models to compare theirs with: a quarter of a short run."""
     with pytest.MonkeyPatch.context() as patch:

@@ -19,12 +19,17 @@ OUTPUT = RNG.standard_normal(SAMPLES)
 GOOD = {"t": TIME_S, "u": INPUT, "y": OUTPUT}
 
 
-def data(log: Path, **changes: object) -> RecordedData:
-    """The data set of a log with input `u` and output `y`, but for these changes."""
-    fields: dict[str, object] = {"path": str(log), "step_s": STEP_S}
+def source(log: Path, **settings: object) -> RecordedData:
+    """The data set of a log with input `u` and output `y`, with these settings."""
+    fields: dict[str, object] = {"path": str(log)}
     fields |= {"input": "u", "output": "y"}
-    fields |= changes
+    fields |= settings
     return RecordedData(**fields)  # type: ignore[arg-type]
+
+
+def data(log: Path, **changes: object) -> RecordedData:
+    """The data set of a log at the sampling time of the good one, but for these changes."""
+    return source(log, **({"step_s": STEP_S} | changes))
 
 
 def csv(folder: Path, **columns: np.ndarray) -> Path:

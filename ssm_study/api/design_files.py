@@ -1,6 +1,6 @@
 """Files of a saved design: recorded signals that its export needs, and reading a design back."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,7 @@ from ssm_study.data.mcap import SignalGroup, write_mcap
 from ssm_study.durable import read_json_with_digest
 from ssm_study.export import targets
 from ssm_study.refusal import require
-from ssm_study.signals import DataSet
+from ssm_study.signals import Channel, DataSet, Trajectory
 
 RECORD = "record.json"
 NAMES_EVERY_CLAIM = "`ssm-study verify` names every claim that does not hold"
@@ -39,35 +39,22 @@ def write_export_records(data: DataSet, folder: Path) -> None:
     """Write the training inputs and the validation outputs of a data set, from which an export
     takes signal ranges and names."""
     metadata = {"step_s": repr(data.step_s)}
-    inputs = (*training_input_groups(data), *training_disturbance_groups(data))
-    write_mcap(folder / "excitation.mcap", inputs, metadata)
-    outputs = tuple(validation_output_groups(data))
-    write_mcap(folder / "validation.mcap", outputs, metadata)
+    inputs = signal_groups_of_records(data.training, "u", "input", data.inputs)
+    disturbances = signal_groups_of_records(data.training, "d", "disturbance", data.disturbances)
+    write_mcap(folder / "excitation.mcap", (*inputs, *disturbances), metadata)
+    outputs = signal_groups_of_records(data.validation, "y", "measured", data.outputs)
+    write_mcap(folder / "validation.mcap", tuple(outputs), metadata)
 
 
-def training_input_groups(data: DataSet) -> Iterator[SignalGroup]:
-    """Inputs of the training records as signal groups of an MCAP file, with one topic for each
-    record."""
-    channels = tuple(data.inputs)
-    for i, record in enumerate(data.training):
-        topic = f"/record_{i}/input"
-        yield SignalGroup(topic=topic, time_s=record.time_s, channels=channels, values=record.u)
-
-
-def training_disturbance_groups(data: DataSet) -> Iterator[SignalGroup]:
-    """Measured disturbances of the training records as signal groups of an MCAP file, with one
-    topic for each record."""
-    channels = tuple(data.disturbances)
-    for i, record in enumerate(data.training):
-        if record.d is not None:
-            topic = f"/record_{i}/disturbance"
-            yield SignalGroup(topic=topic, time_s=record.time_s, channels=channels, values=record.d)
-
-
-def validation_output_groups(data: DataSet) -> Iterator[SignalGroup]:
-    """Measured outputs of the validation records as signal groups of an MCAP file, with one topic
-    for each record."""
-    channels = tuple(data.outputs)
-    for i, record in enumerate(data.validation):
-        topic = f"/record_{i}/measured"
-        yield SignalGroup(topic=topic, time_s=record.time_s, channels=channels, values=record.y)
+def signal_groups_of_records(
+    records: Sequence[Trajectory], signal: str, topic: str, channels: Sequence[Channel]
+) -> Iterator[SignalGroup]:
+    """One signal of each record as a signal group of an MCAP file, under its topic; records without
+    the signal are left out."""
+    for i, record in enumerate(records):
+        values = getattr(record, signal)
+        if values is not None:
+            name = f"/record_{i}/{topic}"
+            yield SignalGroup(
+                topic=name, time_s=record.time_s, channels=tuple(channels), values=values
+            )

@@ -18,6 +18,7 @@ from mcap.exceptions import EndOfFile, InvalidMagic
 from mcap.opcode import Opcode
 from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 
+from ssm_study.data.whole_files import read_whole_file
 from ssm_study.refusal import require
 
 LARGEST = 2**28  # bytes of a recording, unpacked: what a reader may ask of the memory
@@ -40,9 +41,10 @@ KINDS: dict[int, Any] = {
 
 def iterate_mcap_records(path: Path, with_messages: bool = True) -> Iterator[records.McapRecord]:
     """Iterate over the records of an MCAP file, including those in compressed chunks. Raises
-    `BadRequest` before more than `LARGEST` bytes are unpacked."""
-    content = path.read_bytes()
-    _require_magic(content, 0)
+    `BadRequest` before more than `LARGEST` bytes are read or unpacked."""
+    with path.open("rb") as file:
+        _require_magic(file.read(len(MAGIC)), 0)
+    content = read_whole_file(path, LARGEST, "split the recording")
     unpacked = 0
     for start, end, record in _split_records(content, len(MAGIC), with_messages):
         if isinstance(record, records.Chunk):

@@ -77,9 +77,7 @@ class RunFolder:
     def model(self) -> SSM | None:
         """Identified model of a run, if the model can be certified; None for a baseline or a model
         with neurons."""
-        data = self._parse_file("model.json")
-        stored_model = None if data is None else model_from_json(data)
-        return stored_model if isinstance(stored_model, SSM) else None
+        return self.any_model if isinstance(self.any_model, SSM) else None
 
     @cached_property
     def any_model(self) -> Model | None:

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from ssm_study.engine.plan import format_duration
 from ssm_study.refusal import escape_control_characters
+from ssm_study.table.alike_sentences import hide_numbers, merge_number_ranges
 from ssm_study.table.columns import (
     BY_NAME,
     RESULTS,
@@ -31,7 +32,6 @@ from ssm_study.table.rank import rank_runs
 WIDTH = 80  # of a pipe, and the least of a terminal
 # rows that are compared with their records: a screen of them; all of 20,000 would take seconds
 COMPARED = 40
-NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.]*\w)")  # not the 2 of S_u2
 OUTCOMES = ("settled", "certified", *(column.name for column in RESULTS if column.shown))
 CERTIFIED = {(True, True): "both", (True, False): "ctl", (False, True): "obs", (False, False): "no"}
 COLOURS = {
@@ -350,7 +350,7 @@ def _reason_lines(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]
         if status in REASONS_BY_STATUS or row.get("failure_transient") is True:
             reason = f"{reason}{RUN_AGAIN}"
         reason = escape_control_characters(reason)
-        without_numbers = NUMBER.sub("#", reason)
+        without_numbers = hide_numbers(reason)
         run = str(row["run"])
         alike_runs = runs.setdefault(without_numbers, [])
         run_and_reason = (run, reason)
@@ -363,21 +363,8 @@ def _reason_lines(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]
         if len(alike) > 5:
             names = f"{names} and {len(alike) - 5} more"
         sentences = [reason for _, reason in alike]
-        sentence = merge_with_ranges(sentences)
+        sentence = merge_number_ranges(sentences)
         lines.append(f"  {status} {names}: {sentence}")
     if len(runs) > limit:
         lines.append(f"  ... {status} for {len(runs) - limit} more reasons")
     return lines
-
-
-def merge_with_ranges(sentences: list[str]) -> str:
-    """Merge sentences that differ only in numbers into one sentence with ranges, such as `rate 0.4
-    to 0.9`."""
-    numbers = [NUMBER.findall(sentence) for sentence in sentences]
-    ranges = []
-    for column in zip(*numbers, strict=True):
-        values = sorted(set(column), key=float)
-        number_range = values[0] if len(values) == 1 else f"{values[0]} to {values[-1]}"
-        ranges.append(number_range)
-    remaining = iter(ranges)
-    return NUMBER.sub(lambda _: next(remaining), sentences[0])

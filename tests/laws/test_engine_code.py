@@ -3,7 +3,6 @@
 import re
 import shutil
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -31,23 +30,7 @@ TARGETS = {
 }
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _each_text_is_scanned_once() -> Iterator[None]:
-    """The same file is read a score of times, before and after each edit."""
-    scan = code._scan_source
-    modules = dict[tuple[bytes, str, bool], code.Module]()
-
-    def scanned(path: Path, module: str) -> code.Module:
-        content = path.read_bytes()
-        is_package = path.name == "__init__.py"
-        key = content, module, is_package
-        if key not in modules:
-            modules[key] = scan(path, module)
-        return modules[key]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(code, "_scan_source", scanned)
-        yield
+pytestmark = pytest.mark.usefixtures("each_text_scanned_once")
 
 
 def versions(folder: Path) -> dict[str, str]:

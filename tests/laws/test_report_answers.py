@@ -8,7 +8,8 @@ import scipy
 from ssm_study.report.answers import question_answers, swept_settings_line
 from ssm_study.report.page.charts import scatter_plot_contents, unplotted_answers
 from ssm_study.report.page.data import comparable_columns, page_title
-from ssm_study.report.page.failures import merge_number_ranges
+from ssm_study.report.page.failures import shorten_numbers
+from ssm_study.table.alike_sentences import merge_number_ranges
 from ssm_study.table.columns import swept_settings
 
 QUESTIONS = ("Where does feasibility end", "better fit", "prediction hold")
@@ -203,7 +204,7 @@ def test_a_rate_is_swept_where_it_was_requested_and_auto_is_one_of_its_values() 
 def test_reasons_have_short_numbers_that_are_never_above_the_limit() -> None:
     reason = "the slopes allow only rates below {}; request 12345 of 2.5e-07"
     sentences = [reason.format(value) for value in ("0.219102", "0.359482")]
-    merged = merge_number_ranges(sentences)
+    merged = merge_number_ranges([shorten_numbers(sentence) for sentence in sentences])
     assert merged == "the slopes allow only rates below 0.2191 to 0.3594; request 12345 of 2.5e-07"
-    assert merge_number_ranges(["a gain of 123.456789"]) == "a gain of 123.4"
-    assert merge_number_ranges(["a gain of -0.00012349"]) == "a gain of -0.0001234"
+    assert shorten_numbers("a gain of 123.456789") == "a gain of 123.4"
+    assert shorten_numbers("a gain of -0.00012349") == "a gain of -0.0001234"

@@ -6,7 +6,7 @@ that is too wide costs time; one that is too narrow costs truth: the second half
 
 import re
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ from typing import Any
 import pytest
 from hydra import compose, initialize_config_dir
 
-from ssm_study.engine import fingerprint
 from ssm_study.engine import stages as engine_stages
 from ssm_study.engine.fingerprint import CodeReader, find_symbol
 from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages, columns_key
@@ -39,23 +38,7 @@ OF_A_PLANT = ("textbook_pi", "sine_trials", "fresh_data")
 COLUMNS = " columns"
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _each_text_is_scanned_once() -> Iterator[None]:
-    """The same file is read a score of times, before and after each edit."""
-    scan = fingerprint._scan_source
-    scanned: dict[tuple[bytes, str, bool], fingerprint.Module] = {}
-
-    def scan_once(path: Path, module: str) -> fingerprint.Module:
-        content = path.read_bytes()
-        is_package = path.name == "__init__.py"
-        key = content, module, is_package
-        if key not in scanned:
-            scanned[key] = scan(path, module)
-        return scanned[key]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fingerprint, "_scan_source", scan_once)
-        yield
+pytestmark = pytest.mark.usefixtures("each_text_scanned_once")
 
 
 @dataclass(frozen=True)

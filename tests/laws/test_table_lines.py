@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from ssm_study.engine.records import write_record
 from ssm_study.table import show
+from ssm_study.table.alike_sentences import merge_number_ranges
 from ssm_study.table.gather import rows_differ_from_records, table_from_records
 from ssm_study.table.over_seeds import align_columns, setting_heading
 from ssm_study.table.show import (
@@ -20,7 +21,6 @@ from ssm_study.table.show import (
     computing_time_lines,
     format_cell,
     gather_rows,
-    merge_with_ranges,
     prediction_verdicts,
     print_rows,
     render_table,
@@ -226,7 +226,7 @@ def test_merged_sentences_give_the_range_of_each_number(numbers: list[int]) -> N
     smallest = min(numbers)
     largest = max(numbers)
     both = f"{smallest} to {largest}" if smallest < largest else str(smallest)
-    assert merge_with_ranges(sentences) == f"rate {both} of S_u2, at least 7"
+    assert merge_number_ranges(sentences) == f"rate {both} of S_u2, at least 7"
 
 
 def fold_row(fold: int, fit: float | None, **more: object) -> Row:

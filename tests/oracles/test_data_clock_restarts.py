@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from good_log import source
 
-from ssm_study.data.recorded import RecordedData
 from ssm_study.evidence.metrics import judge_log_reading
 from ssm_study.refusal import BadRequest
 
@@ -27,13 +27,6 @@ def log(folder: Path, times: np.ndarray, name: str = "time", repeats: int = 1) -
     table = pd.DataFrame(columns)
     table.to_csv(path, index=False)
     return path
-
-
-def source(path: Path, **settings: object) -> RecordedData:
-    fields: dict[str, object] = {"path": str(path)}
-    fields |= {"input": "u", "output": "y"}
-    fields |= settings
-    return RecordedData(**fields)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("step_s", [None, 0.01])

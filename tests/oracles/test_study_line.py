@@ -3,7 +3,6 @@ whole."""
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ import pandas as pd
 import pytest
 import torch
 from docs_commands import FEW
+from verify_lies import edited, failing
 
 from ssm_study.cli.main import main
 from ssm_study.data.mcap import read_mcap
@@ -36,18 +36,6 @@ CONTRACT_FILES = (
 @pytest.fixture
 def copied_run(smoke_run: Path, tmp_path: Path) -> Path:
     return shutil.copytree(smoke_run, tmp_path / smoke_run.name)
-
-
-def failing(run: Path) -> set[str]:
-    return {finding.claim for finding in verify(run) if not finding.holds}
-
-
-def edit(path: Path, change: Callable[[dict], object]) -> None:
-    text = path.read_text()
-    content = json.loads(text)
-    change(content)
-    text = json.dumps(content)
-    path.write_text(text)
 
 
 def test_the_run_folder_is_the_public_one(smoke_run: Path) -> None:
@@ -152,7 +140,7 @@ def test_tampering_is_found_and_named(
     what: str, copied_run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, change = TAMPERING[what]
-    edit(copied_run / file, change)
+    edited(copied_run / file, change)
     assert main(["verify", str(copied_run)]) == 1
     out = capsys.readouterr().out
     lines = out.splitlines()

@@ -1,12 +1,12 @@
 """`verify` judges a column, gathers findings and words them; the run is made of parts in memory."""
 
 import json
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from verify_runs import run_of
 
 from ssm_study.columns import ADDED
 from ssm_study.refusal import BadRequest
@@ -31,13 +31,6 @@ from ssm_study.study.verify import (
 )
 
 PARTS = SimpleNamespace
-
-
-def run_of(folder: Path = Path("run"), record: Any = None, **parts: Any) -> RunFiles:
-    """Run whose parts are these objects; no file is read."""
-    run = RunFiles(path=folder, record=record or {})
-    vars(run).update(parts)
-    return run
 
 
 def judge(name: str, stored: Any, **more: Any) -> Any:

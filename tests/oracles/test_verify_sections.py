@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from verify_runs import run_of
 
 from ssm_study.certificates.certificate import Infeasible
 from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
@@ -37,13 +38,6 @@ from ssm_study.study.run_files import RunFiles
 from ssm_study.synthesis.measured_discs_run import UNPROVED
 
 PARTS = SimpleNamespace
-
-
-def run_of(folder: Path = Path("run"), record: Any = None, **parts: Any) -> RunFiles:
-    """Run whose parts are these objects; no file is read."""
-    run = RunFiles(path=folder, record=record or {})
-    vars(run).update(parts)
-    return run
 
 
 def test_settings_that_no_result_confirms_are_repeated_alone() -> None:

@@ -5,16 +5,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from good_log import source
 
-from ssm_study.data.recorded import RecordedData
 from ssm_study.refusal import BadRequest
-
-
-def source(path: Path, **settings: object) -> RecordedData:
-    fields: dict[str, object] = {"path": str(path)}
-    fields |= {"input": "u", "output": "y"}
-    fields |= settings
-    return RecordedData(**fields)  # type: ignore[arg-type]
 
 
 def test_a_sheet_is_read_as_a_text_with_its_names_units_and_dates(

@@ -13,7 +13,9 @@ from scipy.io import savemat
 
 from ssm_study.data.arrays import write_log_files
 from ssm_study.data.experiments import RecordedExperiments
-from ssm_study.data.readers.reader import read_table
+from ssm_study.data.mcap import read_mcap
+from ssm_study.data.mcap_records import MAGIC
+from ssm_study.data.readers.reader import choose_reader, read_table
 from ssm_study.data.recording import Recording
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Scale
@@ -78,6 +80,38 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused_before_it_does(tmp_pa
     ru_maxrss = usage_after.ru_maxrss
     difference = ru_maxrss - before
     assert difference < 350_000  # kilobytes
+
+
+HUGE_LOGS = {
+    "a.mcap": (MAGIC, "more than the 256 MiB that are read; split the recording"),
+    "a.mat": (b"MATLAB 5.0 MAT-file", "more than the 128 MiB that are read; split it"),
+    "a.csv": (b"u,y\n1,2\n", "more than the 1024 MiB that are read; split it, or convert it"),
+}
+
+
+@pytest.mark.parametrize("name", HUGE_LOGS)
+def test_a_huge_file_is_refused_before_it_is_read(name: str, tmp_path: Path) -> None:
+    """It has holes in place of content, so it takes no room on the disk."""
+    head, words = HUGE_LOGS[name]
+    path = tmp_path / name
+    with path.open("wb") as file:
+        file.write(head)
+        file.truncate(2**33)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(BadRequest, match=f"has 8192 MiB, {words}"):
+        read_table(path, {"u": "", "y": ""})
+    with pytest.raises(BadRequest, match=f"has 8192 MiB, {words}"):
+        choose_reader(path).read_all_columns(path)
+    difference = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert difference < 2**16  # kilobytes
+
+
+def test_a_huge_file_that_is_no_recording_is_said_to_be_none(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        file.truncate(2**33)
+    with pytest.raises(BadRequest, match="not a complete MCAP recording"):
+        read_mcap(path)
 
 
 NINE_ONES = np.ones(9)

@@ -19,6 +19,7 @@ from jaxtyping import Float
 
 from ssm_study.data.readers.mat_hdf5 import parse_mat_hdf5
 from ssm_study.data.readers.reader import Reader, Table, require_known_columns
+from ssm_study.data.whole_files import read_whole_file
 from ssm_study.refusal import BadRequest
 
 ColumnValues = Float[np.ndarray, "_"]
@@ -192,9 +193,11 @@ def read_numeric_variables(
 def parse_mat_file(path: Path) -> dict[str, Value]:
     """Parse the bytes of a MATLAB file of any version to named variables. Raises an exception of
     any type where the bytes are wrong."""
-    content = path.read_bytes()
-    if content.startswith((b"MATLAB 7.3", b"\x89HDF")):
+    with path.open("rb") as stream:
+        head = stream.read(len(b"MATLAB 7.3"))
+    if head.startswith((b"MATLAB 7.3", b"\x89HDF")):
         return parse_mat_hdf5(path, MOST_BYTES)
+    content = read_whole_file(path, MOST_BYTES, "split it")
     _require_intact(len(content) >= 20, "it is too short")
     return dict(_parse_version_4(path) if 0 in content[:4] else _parse_version_5(content))
 

@@ -15,6 +15,7 @@ from ssm_study.data.dates import AmbiguousDatesError, dates_to_seconds, is_date
 from ssm_study.data.readers.reader import Reader, Table, require_column_index
 from ssm_study.data.text_cells import MISSING
 from ssm_study.data.text_layout import TextLayout, TextSettings, detect_layout
+from ssm_study.data.whole_files import read_whole_file
 from ssm_study.data.written_numbers import AMBIGUOUS, normalise_numbers
 from ssm_study.refusal import BadRequest
 
@@ -22,6 +23,7 @@ ColumnValues = Float[np.ndarray, "T"]
 
 # A title and its unit in brackets of either kind.
 STATED_UNIT = re.compile(r"^\s*(.*?)\s*(?:\[([^\]]*)\]|\(([^()]*)\))?\s*$", re.DOTALL)
+MOST_BYTES = 1 << 30  # of a text that is read at once
 MOSTLY = 0.5  # share of numbers, from which on a column's first other cell is named
 NUMBER = r"^[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$"
 DATE_ALONE = r"^\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}$"
@@ -111,7 +113,8 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
     def _parse_file(self, path: Path) -> tuple[TextLayout, pa.Table]:
         """Detected layout and parsed cells of a text file, computed once and then cached."""
         if self._parsed is None or self._parsed[0] != path:
-            layout = detect_layout(path, path.read_bytes(), self.settings)
+            content = read_whole_file(path, MOST_BYTES, "split it, or convert it to Parquet")
+            layout = detect_layout(path, content, self.settings)
             self._parsed = (path, layout, parse_rows(path, layout))
         return self._parsed[1:]
 

@@ -2,7 +2,7 @@
 runs, provenance."""
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -311,22 +311,25 @@ def _plain_json(value: Any) -> Any:
 def best_run_trajectories(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     """Closed-loop trajectories of the best runs of a study, keyed by the name of the run. Only runs
     that left recordings have them."""
-    by_run = {}
-    for name in text_column(table, "run").head(MOST_TRAJECTORIES):
-        recordings = _run_recordings(study.run_folder(name)) if name else {}
-        if recordings:
-            by_run[name] = recordings
-    return by_run
+    return _collect_from_best_runs(study, table, MOST_TRAJECTORIES, _run_recordings)
 
 
 def best_run_pictures(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     """Pictures of the best few runs of a study, keyed by the name of the run. Each picture takes 50
     kB and a second or two."""
+    return _collect_from_best_runs(study, table, MOST_PICTURED, pictures_of_run)
+
+
+def _collect_from_best_runs(
+    study: StudyFolder, table: pd.DataFrame, count: int, collect: Callable[[RunFolder], Any]
+) -> dict[str, Any]:
+    """Parts of the report page that are made of each of the best runs of a study, keyed by the name
+    of the run; runs that give nothing are left out."""
     by_run = {}
-    for name in text_column(table, "run").head(MOST_PICTURED):
-        pictured = pictures_of_run(study.run_folder(name)) if name else []
-        if pictured:
-            by_run[name] = pictured
+    for name in text_column(table, "run").head(count):
+        collected = collect(study.run_folder(name)) if name else None
+        if collected:
+            by_run[name] = collected
     return by_run
 
 

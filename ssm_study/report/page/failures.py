@@ -1,7 +1,6 @@
 """Unsuccessful runs of a study (not certified, or loop not settled), grouped by reason."""
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,11 +13,11 @@ from ssm_study.report.page.first_screen import (
     row_as_record,
 )
 from ssm_study.report.words import IDENTIFIED, LOST, NO_FASTER, SETTLED, UNTRIED
+from ssm_study.table.alike_sentences import NUMBER, hide_numbers, merge_number_ranges
 
 MOST_REASONS = 40
 MOST_DIGITS = 4  # of a number in a reason
 MOST_RUNS = 12  # of a reason that are named
-NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
 SEVERITY = ("failed", "certified", "not certified", "infeasible")
 NEEDED = ("verdict", "stable_count", "initial_conditions", *REASONS)
 GOOD = {SETTLED.word, NO_FASTER.word, IDENTIFIED.word}
@@ -43,14 +42,14 @@ def failure_groups(table: pd.DataFrame) -> list[FailureGroup]:
             continue
         record = row_as_record(needed.iloc[place])
         sentence = f"{record['verdict']}: {failure_reason(record)}"
-        groups.setdefault(NUMBER.sub("#", sentence), []).append((place, sentence))
+        groups.setdefault(hide_numbers(sentence), []).append((place, sentence))
     worst_first = sorted(groups, key=lambda sentence: (failure_severity(sentence), sentence))
     return [make_failure_group(groups[sentence]) for sentence in worst_first]
 
 
 def make_failure_group(runs: list[tuple[int, str]]) -> FailureGroup:
     """Make a group from runs that failed for the same reason, with an explanation."""
-    reason = merge_number_ranges([sentence for _, sentence in runs])
+    reason = merge_number_ranges([shorten_numbers(sentence) for _, sentence in runs])
     places = tuple(place for place, _ in runs[:MOST_RUNS])
     return FailureGroup(reason=reason, count=len(runs), places=places)
 
@@ -71,6 +70,11 @@ def failure_reason(record: dict[str, Any]) -> str:
     return " ".join(failure_reasons(record)) or "no reason was recorded"
 
 
+def shorten_numbers(sentence: str) -> str:
+    """Sentence in which each number has at most four digits, cut towards zero."""
+    return NUMBER.sub(lambda number: shorten_number(number[0]), sentence)
+
+
 def shorten_number(text: str) -> str:
     """Text of a number with at most four digits, cut towards zero."""
     digits = re.sub(r"e.*|\D", "", text).lstrip("0")
@@ -78,19 +82,3 @@ def shorten_number(text: str) -> str:
         return text
     surplus = min(len(digits) - MOST_DIGITS, len(text.partition(".")[2]))
     return text[:-surplus].removesuffix(".")
-
-
-def merge_number_ranges(sentences: Sequence[str]) -> str:
-    """Merge sentences that differ only in numbers into one sentence. Each number that varies is
-    replaced by its range."""
-    texts = [list(map(shorten_number, NUMBER.findall(sentence))) for sentence in sentences]
-    columns = iter(zip(*texts, strict=True))
-
-    def number_range_text(_: re.Match[str]) -> str:
-        """Text of the range of a number over failure messages that differ only in their numbers."""
-        column = next(columns)
-        low = min(column, key=float)
-        high = max(column, key=float)
-        return low if float(low) == float(high) else f"{low} to {high}"
-
-    return NUMBER.sub(number_range_text, sentences[0])
