@@ -73,6 +73,15 @@ REAL: dict[str, tuple[str, ...]] = {
         "data.step_s=0.135",
         "data.decimate=10",
     ),
+    "tanker_three_trained": (  # two of the four files are not among logs_real (docs/models.md)
+        "data.path=[{folder}/tanker_zigzag_10.dat,{folder}/tanker_zigzag_minus10.dat,"
+        "{folder}/tanker_zigzag_20.dat]",
+        "data.test_path=[{folder}/tanker_zigzag_minus20.dat]",
+        "data.input=9",
+        "data.output=8",
+        "data.step_s=0.135",
+        "data.decimate=10",
+    ),
     "propeller_bench": (
         "data.path={folder}/propeller_bench.csv",
         "data.input=Servo 3 (µs)",

@@ -17,7 +17,7 @@ from ssm_study.signals import DataSet, Trajectory
 from ssm_study.systems import StateSpace
 from ssm_study.training.metrics import records_fit_percent
 from ssm_study.training.short_starts import STEPS, settings_for_short_training
-from ssm_study.training.structured_fit import StructuredFit
+from ssm_study.training.structured_fit import LinearStarts, StructuredFit
 
 LINEAR = "linear output error"
 REGRESSION = "linear ARX"  # the errors of one step: a load that is not in the log weighs less
@@ -322,17 +322,24 @@ def delay_disturbance(record: Trajectory) -> Trajectory:
 
 
 def cross_validate_structured_model(
-    spec: StructuredSpec, folds: Sequence[DataSet], seed: int, best: Candidate | None
+    spec: StructuredSpec,
+    folds: Sequence[DataSet],
+    seed: int,
+    best: Candidate | None,
+    linear_starts: Sequence[LinearStarts],
 ) -> CandidateErrors:
     """Train a structured model briefly on every cross-validation fold, and compute its errors on
-    the held-out parts. The last folds are left out if it is far behind `best`."""
+    the held-out parts. The last folds are left out if it is far behind `best`.
+
+    `linear_starts` has for each fold those of the models before it.
+    """
     brief = settings_for_short_training(spec)
     trial = CandidateErrors()
-    for fold in folds:
+    for fold, starts in zip(folds, linear_starts, strict=True):
         if best is not None and is_far_worse_than_best(trial.errors, best):
             break
         part = fold.shift_out_dead_time(int(spec.dead_time)) if spec.dead_time else fold
-        fit = StructuredFit(brief, part, seed)
+        fit = StructuredFit(brief, part, seed, starts)
         fit.start_training(STEPS)
         trial.add_error_of_fit(fit, part)
     return trial

@@ -23,6 +23,7 @@ from ssm_study.training.candidates import (
     train_further,
 )
 from ssm_study.training.folds import FOLDS, SHORTEST_FOLD
+from ssm_study.training.structured_fit import LinearStarts
 
 STRUCTURED = "structured"
 PRODUCTS = "products of input and state"
@@ -82,6 +83,10 @@ class SettingsSearch:
     tried: list[Candidate] = field(default_factory=list)
     chosen: list[Candidate] = field(default_factory=list)
     certified: dict[int, bool] = field(default_factory=dict)  # by identity of the candidate
+    linear_starts: list[LinearStarts] = field(init=False)  # of each fold
+
+    def __post_init__(self) -> None:
+        self.linear_starts = [{} for _ in self.folds]
 
     def is_undecided(self, name: str) -> bool:
         """Whether a model setting is to be chosen from the records and is not decided yet."""
@@ -97,7 +102,9 @@ class SettingsSearch:
         if tried is not None:
             return tried
         best = best_candidate(self.tried) if self.tried else None
-        trial = cross_validate_structured_model(spec, self.folds, self.seed, best)
+        trial = cross_validate_structured_model(
+            spec, self.folds, self.seed, best, self.linear_starts
+        )
         return self.add_candidate(question, STRUCTURED, settings, trial)
 
     def complete_settings(self, settings: Settings) -> StructuredSpec:

@@ -12,10 +12,11 @@ from jaxtyping import Float
 from ssm_study.models.identified import SSM
 from ssm_study.models.matrix_shapes import matrix_shapes
 from ssm_study.models.spec import scale_records_with_disturbances
-from ssm_study.models.structured import Model, StructuredSSM, evaluate_activations
+from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.models.structured_spec import StructuredSpec
-from ssm_study.signals import DataSet, Trajectories, fit_from_relative_error
+from ssm_study.signals import DataSet, fit_from_relative_error
 from ssm_study.training.metrics import records_fit_percent
+from ssm_study.training.pruning import prune_neurons
 from ssm_study.training.record_batch import RecordBatch
 from ssm_study.training.structured_problem import (
     CORE,
@@ -34,12 +35,14 @@ from ssm_study.training.structured_start import (
     fit_initial_linear_model,
 )
 
-IDLE = 1e-3  # relative change of the output below which a neuron does nothing
 START_SAMPLES = 2000  # of which a start is made: the training goes on with all
 UNPENALISED = 25  # steps before the penalty on the gain's sign
 RACE = 5  # steps of each draw inside the contracting set
 TRUSTED = 0.5  # of its loss: a least-squares start is replaced where random poles come below
 Matrices = dict[str, Float[np.ndarray, "..."]]  # of a model, by their names
+# Linear models from which trainings on the same records began, by their settings. With each is the
+# state of the random numbers behind it.
+LinearStarts = dict[tuple[object, ...], tuple[Theta, dict[str, Any]]]
 
 
 class StructuredFit(pl.LightningModule):
@@ -54,9 +57,16 @@ class StructuredFit(pl.LightningModule):
     damping: torch.Tensor
     loss: torch.Tensor
 
-    def __init__(self, spec: StructuredSpec, data: DataSet, seed: int) -> None:
+    def __init__(
+        self,
+        spec: StructuredSpec,
+        data: DataSet,
+        seed: int,
+        linear_starts: LinearStarts | None = None,
+    ) -> None:
         super().__init__()
         self.automatic_optimization = False
+        self.linear_starts = {} if linear_starts is None else linear_starts
         self.spec = spec
         self.data = data
         self.seed = seed
@@ -182,14 +192,7 @@ class StructuredFit(pl.LightningModule):
         rng = np.random.default_rng(self.seed)
         stretch = self.problem.records.cut_varying_part(START_SAMPLES)
         short = replace(self.problem, records=stretch, gain_share=0.0)
-        linear = replace(short, neurons=(), rate=None)
-        moving = self._linear_block_names()
-        theta = self._fit_linear_model(linear, moving, rng)
-        if spec.knots or spec.output_knots:
-            maps = (*moving, "scaffold_in", "scaffold_out")
-            map_steps = spec.start_steps[1]
-            fitted_maps = minimise_simulation_error(linear, theta, maps, map_steps)
-            theta = fitted_maps.theta
+        theta = self._linear_start(short, rng)
         draws = [self._draw_initial_neurons(short, theta, rng) for _ in range(spec.draws)]
         best_draw = min(draws, key=lambda draw: draw.loss)
         best = best_draw.theta
@@ -198,6 +201,36 @@ class StructuredFit(pl.LightningModule):
         if np.shares_memory(stretch.u[:1, :1], self.problem.records.u[:1, :1]):
             x0[: len(best["x0"])] = best["x0"]
         return best | {"x0": x0}
+
+    def _linear_start(self, short: SimulationProblem, rng: np.random.Generator) -> Theta:
+        """Linear model with a fitted S_u, to which random neurons are added.
+
+        Models on the same records that differ only in their neurons begin with the same one; it is
+        fitted once, and the random numbers then go on as behind the fit.
+        """
+        settings = self._linear_start_settings
+        if settings in self.linear_starts:
+            theta, rng.bit_generator.state = self.linear_starts[settings]
+            return theta
+        spec = self.spec
+        linear = replace(short, neurons=(), rate=None)
+        moving = self._linear_block_names()
+        theta = self._fit_linear_model(linear, moving, rng)
+        if spec.knots or spec.output_knots:
+            maps = (*moving, "scaffold_in", "scaffold_out")
+            map_steps = spec.start_steps[1]
+            fitted_maps = minimise_simulation_error(linear, theta, maps, map_steps)
+            theta = fitted_maps.theta
+        self.linear_starts[settings] = (theta, dict(rng.bit_generator.state))
+        return theta
+
+    @property
+    def _linear_start_settings(self) -> tuple[object, ...]:
+        """Settings by which the linear starts of a search for model settings differ."""
+        spec = self.spec
+        maps = (spec.knots, spec.output_knots)
+        paths = (spec.feedthrough, spec.dead_time, self.integrates)
+        return (self.seed, spec.order, *maps, *paths)
 
     def _linear_block_names(self) -> tuple[str, ...]:
         """Names of the parameter blocks that a linear model has."""
@@ -331,70 +364,3 @@ def split_disturbance_columns(parts: Matrices, inputs: int) -> Matrices:
     disturbance_columns = parts["b"][:, inputs:]
     disturbance_part = {"b_d": disturbance_columns}
     return split | disturbance_part
-
-
-def prune_neurons(model: StructuredSSM, records: Trajectories) -> StructuredSSM:
-    """Remove neurons that a linear gain can replace without a noticeable change of any output. `w_i
-    = s_i z_i`.
-
-    A metric in which the model contracts is one of the pruned model too: `w_i = s_i z_i` satisfies
-    the sector condition that the analysis LMI is about. A neuron between input and output is left
-    where D is zero.
-    """
-    for i in reversed(range(len(model.neurons))):
-        reaches_output = model.h[:, i] != 0
-        if np.any(reaches_output) and np.any(model.g[i] != 0):
-            continue
-        candidate = linearise_neuron(model, i, records)
-        output = simulate_records_stacked(model, records)
-        simulated = simulate_records_stacked(candidate, records)
-        change = np.linalg.norm(simulated - output)
-        deviation = np.linalg.norm(output - output.mean(axis=0))
-        if change / deviation < IDLE:
-            model = candidate
-    return model
-
-
-def simulate_records_stacked(
-    model: StructuredSSM, records: Trajectories
-) -> Float[np.ndarray, "T p"]:
-    """Simulated outputs of several records from the equilibrium, stacked in one array."""
-    outputs = [model.simulate(record.u, d=record.d) for record in records]
-    return np.concatenate(outputs)
-
-
-def linearise_neuron(model: StructuredSSM, i: int, records: Trajectories) -> StructuredSSM:
-    """Copy of a model in which one neuron is replaced by its mean slope over the records."""
-    slopes = []
-    for record in records:
-        driving = model.driving_signals(record.u, record.d)
-        _, states = model.simulate_recurrence(driving)
-        v = model.map_input(record.u)
-        from_state = states[:-1] @ model.f.T
-        from_input = v @ model.g.T
-        z = from_state + from_input + model.bias
-        by_neuron = evaluate_activations(model.neurons, z, "slope")
-        slopes.append(by_neuron[:, i])
-    all_slopes = np.concatenate(slopes)
-    slope = float(all_slopes.mean())
-    e = model.e[:, [i]]
-    f = model.f[[i]]
-    g = model.g[[i]]
-    h = model.h[:, [i]]
-    through_neuron = slope * e @ f
-    parts = {"a": model.a + through_neuron}
-    input_change = slope * e @ g
-    parts["b"] = model.b + input_change
-    output_change = slope * h @ f
-    parts["c"] = model.c + output_change
-    feedthrough_change = slope * h @ g
-    parts["d"] = model.d + feedthrough_change
-    parts["e"] = np.delete(model.e, i, 1)
-    parts["f"] = np.delete(model.f, i, 0)
-    parts["g"] = np.delete(model.g, i, 0)
-    parts["h"] = np.delete(model.h, i, 1)
-    parts["bias"] = np.delete(model.bias, i, 0)
-    earlier_neurons = model.neurons[:i]
-    later_neurons = model.neurons[i + 1 :]
-    others = earlier_neurons + later_neurons
-    return replace(model, neurons=others, **parts)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,8 @@ from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 from ssm_study.training.levenberg import damping_update_factor
 from ssm_study.training.optimisers import Lbfgs
-from ssm_study.training.structured_fit import StructuredFit, prune_neurons
+from ssm_study.training.pruning import prune_neurons
+from ssm_study.training.structured_fit import LinearStarts, StructuredFit
 from ssm_study.training.training import Training
 
 
@@ -177,3 +179,26 @@ def test_the_damping_follows_the_share_of_the_expected_gain():
     assert damping_update_factor(1.5, 2.0) == 1.0
     assert damping_update_factor(0.6, 2.0) == 1.0
     assert damping_update_factor(0.5, 2.0) == 2.0
+
+
+@pytest.mark.parametrize(
+    "other", [{"input_path": "free"}, {"neurons": 0}, {"rate": None}, {"knots": 0}, {"order": 3}]
+)
+def test_a_linear_start_that_is_there_changes_no_number_of_a_training(
+    data: DataSet, other: dict[str, Any]
+) -> None:
+    """Models that differ in their neurons begin with the same linear model, fitted once."""
+    first_spec = StructuredSpec(order=2, neurons=2, knots=4, start_steps=(3, 3, 2), draws=2)
+    second_spec = replace(first_spec, **other)
+    starts: LinearStarts = {}
+    first = StructuredFit(first_spec, data, 0, starts)
+    first.start_training(2)
+    shared = StructuredFit(second_spec, data, 0, starts)
+    shared.start_training(2)
+    alone = StructuredFit(second_spec, data, 0)
+    alone.start_training(2)
+    for name, block in alone.parameter_blocks.items():
+        actual = shared.parameter_blocks[name]
+        np.testing.assert_array_equal(actual, block)
+    is_same_linear_model = {"knots", "order"}.isdisjoint(other)
+    assert len(starts) == (1 if is_same_linear_model else 2)
