@@ -43,13 +43,15 @@ def data_set_columns(data: DataSet) -> dict[str, Any]:
     """Table columns that describe a data set: its origin and how well its inputs excite the
     plant."""
     disturbances = [channel.name for channel in data.disturbances]
-    orders = [persistency_order(record.u) for record in data.training]
+    order = HIGHEST_ORDER
+    for record in data.training:
+        order = persistency_order(record.u, at_most=order)
     return {
         "data_source": data.metadata.get("source"),
         "benchmark": data.metadata.get("benchmark"),
         "disturbances": ", ".join(disturbances) or None,
         "input_coverage": input_coverage(data),
-        "excitation_order": min(orders),
+        "excitation_order": order,
         "excitation_warning": warn_of_two_level_input(data),
     }
 
@@ -133,20 +135,20 @@ def warn_of_two_level_input(data: DataSet) -> str | None:
     return None
 
 
-def persistency_order(u: Float[np.ndarray, "T m"]) -> int:
-    """Order of persistent excitation of an input signal. It is the largest L <= `HIGHEST_ORDER` for
-    which the block Hankel matrix of L rows of u has full row rank `m L`.
+def persistency_order(u: Float[np.ndarray, "T m"], at_most: int = HIGHEST_ORDER) -> int:
+    """Order of persistent excitation of an input signal, or `at_most` if it is higher. The order is
+    the largest L for which the block Hankel matrix of L rows of u has full row rank `m L`.
 
     A linear system of order n is identifiable from such data if `L >= n + its lag + 1` (Willems et
     al. 2005). Judged on the first 2000 samples.
     """
     u = u[:SAMPLES_FOR_ORDER] - u.mean(axis=0)
-    order = 0
     samples, inputs = u.shape
-    deepest = (samples + 1) // (inputs + 1)
-    too_deep = min(HIGHEST_ORDER, deepest) + 1
+    deepest = min(at_most, (samples + 1) // (inputs + 1))
+    order = 0
+    too_deep = deepest + 1
+    middle = deepest
     while too_deep - order > 1:  # the ranks are nested, so halving finds the last full one
-        middle = (order + too_deep) // 2
         columns = len(u) - middle + 1
         shifted = [u[k : k + columns].T for k in range(middle)]
         hankel = np.concatenate(shifted)
@@ -158,4 +160,5 @@ def persistency_order(u: Float[np.ndarray, "T m"]) -> int:
             order = middle
         else:
             too_deep = middle
+        middle = (order + too_deep) // 2
     return order
