@@ -63,6 +63,12 @@ def require_at_least(minimum: float | int, field: str, value: Any, remedy: str) 
     require(value is None or minimum <= value < math.inf, field, value, problem, remedy)
 
 
+def require_seed(field: str, value: Any) -> None:
+    """Raise `BadRequest` unless a value can be the seed of random numbers."""
+    is_seed = type(value) is int and 0 <= value < 2**32
+    require(is_seed, field, value, "not a whole number from 0 to 2^32 - 1", "use 0")
+
+
 def require_one_of(allowed: Iterable[Any], field: str, value: Any) -> None:
     """Raise `BadRequest` unless a value is among the allowed ones, which the message lists."""
     *others, last = map(str, names := tuple(allowed))

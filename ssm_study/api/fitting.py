@@ -103,7 +103,7 @@ def fit(
         slope_lower, slope_upper = read_slope_range("slopes", slopes)
         parts.change_settings("model", slope_lower=slope_lower, slope_upper=slope_upper)
     if seed is not None:
-        parts.numbers["seed"] = seed
+        parts.set_seed("seed", seed)
     spec = parts.build("model")
     training = parts.build("training")
     reduction = parts.build("reduction")

@@ -11,13 +11,14 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml  # type: ignore[import-untyped]
 from omegaconf import OmegaConf
 
 import ssm_study
 from ssm_study.construction import construct_part
 from ssm_study.extensions import extension_configuration_folders
-from ssm_study.refusal import BadRequest, require
+from ssm_study.refusal import BadRequest, require, require_seed
 
 Tree = dict[str, Any]
 SELF = "_self_"
@@ -174,8 +175,8 @@ def split_settings(settings: Iterable[str]) -> list[tuple[str, str]]:
         has_sign = bool(equals)
         usable = has_sign and bool(key) and not key.startswith(("-", "~", "hydra"))
         require(usable, "overrides", word, "is no setting", REMEDY)
-        plain_key = key.lstrip("+")
-        pairs.append((plain_key, value))
+        plain_key = key.strip().lstrip("+")
+        pairs.append((plain_key, value.strip()))
     return pairs
 
 
@@ -183,7 +184,7 @@ def part_of_setting(setting: str) -> str:
     """Part of a study, such as `model`, to which a setting such as `model.order=4` belongs."""
     signed_key = str(setting).partition("=")[0]
     setting_path = signed_key.lstrip("+")
-    key = setting_path.rpartition("@")[2]
+    key = setting_path.strip().rpartition("@")[2]
     dotted_key = key.replace("/", ".")
     return dotted_key.partition(".")[0]
 
@@ -230,16 +231,20 @@ class StudyParts:
         """Set one setting, given by its dotted path, of a part of a study."""
         value = parse_setting_value(text)
         if key in NUMBERS:
-            kind = type(value)
-            whole = kind is int and 0 <= value < 2**32
-            require(whole, key, value, "not a whole number from 0 to 2^32 - 1", "use 0")
-            self.numbers[key] = value
+            self.set_seed(key, value)
             return
         part = key.partition(".")[0]
         is_known = part in self.trees and "." in key
         require(is_known, key, text, "is no setting of data, model or design", REMEDY)
         self.details.append(f"{self._override_prefix(key)}{key}={text}")
         assign_value(self.trees, key, value)
+
+    def set_seed(self, name: str, value: Any) -> None:
+        """Set the seed of the data and the model, or that of the loop. Raises `BadRequest` for
+        anything but a whole number from 0 to 2^32 - 1."""
+        seed = plain_number(value)
+        require_seed(name, seed)
+        self.numbers[name] = seed
 
     def _override_prefix(self, path: str) -> str:
         """Prefix of a command-line override: `++` for a setting that the configuration files lack,
@@ -261,7 +266,11 @@ class StudyParts:
     def change_settings(self, part: str, **settings: Any) -> None:
         """Set several settings of one part of a study; a setting with the new value None stays
         unchanged."""
-        for name, value in settings.items():
+        for name, given in settings.items():
+            value = plain_number(given)
+            problem = f"is no setting of the {part}"
+            remedy = f'give the text "{name}={value}", without a name'
+            require("." not in name, name, value, problem, remedy)
             if value is not None:
                 sign = self._override_prefix(f"{part}.{name}")
                 assign_value(self.trees, f"{part}.{name}", value)
@@ -300,6 +309,12 @@ class StudyParts:
         chosen = [f"{name}={choice}" for name, choice in self.choices.items()]
         numbers = [f"{name}={value}" for name, value in self.numbers.items()]
         return (*chosen, *self.details, *numbers)
+
+
+def plain_number(value: Any) -> Any:
+    """Number of Python for a number of NumPy, as a loop over an array gives it; any other value is
+    returned unchanged."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def format_setting_value(value: Any) -> str:

@@ -15,7 +15,7 @@ from ssm_study.construction import LARGEST_NUMBER, construct_part
 from ssm_study.data.simulated import SimulatedData
 from ssm_study.durable import sha256_of_file
 from ssm_study.engine.settings import Settings, plain_settings, walk_nodes
-from ssm_study.refusal import require
+from ssm_study.refusal import require, require_seed
 from ssm_study.study.allow_list import PARTS
 
 if TYPE_CHECKING:  # a request is read without what it takes to fulfil it
@@ -62,9 +62,7 @@ class Specification:
         missing = next((path for path, _, value in walk_nodes(settings) if value == "???"), "")
         require(not missing, missing, "???", "is missing", "give it a value on the command line")
         for name in ("seed", "loop_seed"):
-            value = settings[name]
-            is_seed = type(value) is int and 0 <= value < 2**32
-            require(is_seed, name, value, "not a whole number from 0 to 2^32 - 1", "use 0")
+            require_seed(name, settings[name])
         parts = {name: construct_part(name, settings[name]) for name in PARTS if name != "plant"}
         is_recorded = not isinstance(parts["data"], SimulatedData)
         plant = None if is_recorded else construct_part("plant", settings["plant"])

@@ -4,6 +4,7 @@ import inspect
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ssm_study.api import fitting
@@ -108,3 +109,16 @@ def test_the_help_of_fit_names_settings_that_each_model_takes() -> None:
     parts.change_settings("model", order=2)
     with pytest.raises(BadRequest, match="order"):
         parts.build("model")
+
+
+def test_numbers_of_an_array_and_words_with_spaces_are_settings() -> None:
+    """A loop over an array gives NumPy's numbers."""
+    parts = StudyParts(fitting.CHOICES | {"model": "ssm"}, ["training.max_epochs = 5", "seed = 3"])
+    orders = np.arange(1, 3)
+    parts.change_settings("model", order=orders[1])
+    parts.set_seed("loop_seed", orders[0])
+    assert parts.build("training").max_epochs == 5
+    assert parts.build("model").order == 2
+    assert parts.numbers == {"seed": 3, "loop_seed": 1}
+    assert parts.overrides_for_parts("seed") == ("seed = 3",)
+    assert {"training.max_epochs=5", "model.order=2"} <= set(parts.command_overrides())

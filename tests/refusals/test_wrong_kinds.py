@@ -198,6 +198,19 @@ def test_a_log_is_looked_at_with_the_right_kinds(
         st.look(path, **settings)
 
 
+@pytest.mark.parametrize("seed", [-1, "a", 1.5, True, 2**32])
+def test_a_seed_of_a_fit_is_a_whole_number(seed: object) -> None:
+    with pytest.raises(st.BadRequest, match=r"seed = .*: not a whole number from 0 to 2\^32 - 1"):
+        st.fit(FITTED["u"], FITTED["y"], 0.1, model="ssm", order=1, seed=seed)
+
+
+def test_a_setting_of_another_part_is_given_as_a_text() -> None:
+    settings: dict[str, Any] = {"training.max_epochs": 5}
+    words = r'is no setting of the model; give the text "training.max_epochs=5", without a name'
+    with pytest.raises(st.BadRequest, match=words):
+        st.fit(FITTED["u"], FITTED["y"], 0.1, model="ssm", order=1, **settings)
+
+
 NO_SETTINGS = [3, "hidden_width", [1, 2], {1: 2}]
 
 
