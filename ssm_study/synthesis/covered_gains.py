@@ -70,8 +70,8 @@ class GainSearch:
     respond faster.
 
     `largest_area` is the slowest response allowed, in areas of the open loop on the model; `margin`
-    the stability margin that the prediction must exceed. A search that `is_brief` takes no round
-    beyond those planned and tries one proof.
+    the stability margin that the prediction must exceed. A search that `is_brief` ends where the
+    target is met, without rounds that make the gains faster, and tries one proof.
     """
 
     model: Model
@@ -90,19 +90,24 @@ class GainSearch:
         """Fastest certified design of a random search that has the required coverage (ratio of
         proved to recorded model error); None if there is none.
 
-        A proof keeps a little less than its frequencies promise: where it keeps too little, the
-        search goes on for as much more.
+        A proof keeps a little less than its frequencies promise, so the search aims beyond the
+        target. Where it ends below its aim, the proof is tried nevertheless; where a proof keeps
+        too little, the search goes on for as much more.
         """
         wanted_coverage = expected_coverage_loss(self.model) * target_coverage
         certificates = 1 if self.is_brief else CERTIFICATES
         for _ in range(certificates):
             best = self.search_best_gains(start_design, wanted_coverage, rounds, largest_area)
+            if best.coverage < target_coverage:
+                return None
             design = self.certify_gains(start_design, best.gains)
-            if best.coverage < wanted_coverage or design is None:
+            if design is None:
                 return None
             proved = self.proved_coverage(design)
             if proved >= target_coverage:
                 return design
+            if best.coverage < wanted_coverage:
+                return None
             start_design = design
             proved_or_least = max(proved, LEAST_PROVED * target_coverage)
             wanted_coverage = MORE * wanted_coverage * target_coverage / proved_or_least
@@ -157,10 +162,17 @@ class GainSearch:
         self, coverages: Sequence[float], target_coverage: float, rounds: int
     ) -> bool:
         """Whether a random search for gains continues, given the best coverage (ratio of tolerated
-        to recorded model error) after each round."""
-        if self.is_brief:
-            return len(coverages) <= rounds and coverages[-1] < target_coverage
-        return is_worth_another_round(coverages, target_coverage, rounds)
+        to recorded model error) after each round.
+
+        A brief search aims beyond its target in the planned rounds only: a proof often keeps what
+        lies below the aim, and is tried sooner than further rounds.
+        """
+        if not self.is_brief:
+            return is_worth_another_round(coverages, target_coverage, rounds)
+        if len(coverages) <= rounds:
+            return coverages[-1] < target_coverage
+        least_coverage = target_coverage / expected_coverage_loss(self.model)
+        return is_worth_another_round(coverages, least_coverage, rounds)
 
     def _score_proposals(
         self,
