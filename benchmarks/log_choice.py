@@ -93,6 +93,12 @@ REAL: dict[str, tuple[str, ...]] = {
         "data.output=enconder(steps)",
     ),
     "house": ("data.path={folder}/house_heat_pump.csv", "data.input=[Ph,Ta]", "data.output=Ti"),
+    "house_measured_outdoors": (  # the temperature outdoors is measured, and nothing commands it
+        "data.path={folder}/house_heat_pump.csv",
+        "data.input=Ph",
+        "data.disturbance=Ta",
+        "data.output=Ti",
+    ),
 }
 
 
@@ -148,12 +154,13 @@ def compare(log: Log, plain: bool = False, candidates: Path | None = None) -> di
     if candidates is not None:
         write(candidates / f"{log.name}_{log.seed}.csv", found.choice)
     seconds_plain = round(fit_log(log, "model=structured")[2], 1) if plain else ""
-    baseline = fit_best_baseline(data)
+    data_of_baseline = data.with_disturbances_as_inputs()
+    baseline = fit_best_baseline(data_of_baseline)
     _, test = simulate_validation_and_test(
         found.model, data
     )  # from the log's past where that predicts better
     fit = test.fit_percent
-    fit_baseline = baseline.test_fit_percent(data) if baseline else float("nan")
+    fit_baseline = baseline.test_fit_percent(data_of_baseline) if baseline else float("nan")
     predicted = member_columns(found.members, data).get("fit_test_members_percent", fit)
     return {
         "log": log.name,
