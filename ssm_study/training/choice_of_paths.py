@@ -68,9 +68,7 @@ def response_delay(data: DataSet) -> int | None:
     record = max(all_records.training, key=len)
     if len(record) <= SHORTEST:
         return None
-    inputs = [u for u in record.u.T if np.ptp(u) > 0]
-    outputs = [y for y in record.y.T if np.ptp(y) > 0]
-    pairs_of_channels = product(inputs, outputs)
+    pairs_of_channels = product(record.u.T, record.y.T)
     lags = [first_response_lag(u, y) for u, y in pairs_of_channels]
     answered = [lag for lag in lags if lag is not None]
     return min(answered, default=None)

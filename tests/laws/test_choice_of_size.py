@@ -78,8 +78,10 @@ def test_high_orders_are_tried_while_the_highest_before_is_needed(
     errors: dict[int, float], chosen: int, tried: int
 ) -> None:
     search = search_of(errors)
-    assert choose_linear_order(search).settings["order"] == chosen
-    assert len(search.delays) == tried
+    candidate = choose_linear_order(search)
+    assert candidate.settings["order"] == chosen
+    count = len(search.delays)
+    assert count == tried
 
 
 @pytest.mark.parametrize(
@@ -91,7 +93,8 @@ def test_a_linear_model_answers_after_the_dead_time(
     settings = {"feedthrough": feedthrough, "dead_time": dead_time}
     search = search_of({1: 1.0}, settings=settings)
     choose_linear_order(search)
-    assert set(search.delays) == {delay}
+    delays = set(search.delays)
+    assert delays == {delay}
 
 
 @pytest.mark.parametrize(("order", "expected"), [(1, 3), (6, 6), (10, 8)])
@@ -101,14 +104,18 @@ def test_one_layer_has_the_order_of_the_linear_model_within_bounds(
     search = search_of({order: 1.0})
     linear, one_layer = try_sizes_without_neurons(search)
     assert linear.settings["order"] == order
-    assert one_layer.settings == {"order": expected, "neurons": 0, "knots": SIZES[2]["knots"]}
+    settings = one_layer.settings
+    assert settings["order"] == expected
+    assert settings["neurons"] == 0
+    assert settings["knots"] == SIZES[2]["knots"]
 
 
 def test_where_no_linear_model_is_allowed_its_order_is_tried_without_neurons() -> None:
     search = search_of({4: 1.0}, allows_linear_model=False)
     simplest, _ = try_sizes_without_neurons(search)
     assert simplest.model == STRUCTURED
-    assert simplest.settings == {"order": 4, "neurons": 0, "knots": 0}
+    expected = {"order": 4, "neurons": 0, "knots": 0}
+    assert simplest.settings == expected
 
 
 INTEGRATORS = [(10.0, True, False), (72.0, True, False), (74.0, False, True), (90.0, False, False)]

@@ -24,26 +24,34 @@ PAPER = [["experiment=paper"]]
 
 @cache
 def run_name(*words: str) -> str:
-    return str(composed(list(words)).run).rpartition("-")[2]
+    config = composed(list(words))
+    name = str(config.run)
+    _, _, digits = name.rpartition("-")
+    return digits
 
 
 def names_of_command(words: list[str]) -> set[str]:
     """Last digits of the names of all runs that a command makes, one or a whole sweep."""
     settings = [word for word in words if "=" in word]
-    overrides = OverridesParser.create().parse_overrides(settings)
-    jobs = BasicSweeper.split_arguments(overrides, max_batch_size=None)[0]
+    parser = OverridesParser.create()
+    overrides = parser.parse_overrides(settings)
+    (jobs,) = BasicSweeper.split_arguments(overrides, max_batch_size=None)
     return {run_name(*job) for job in jobs}
 
 
 def commands_of_notebook(name: str) -> list[list[str]]:
     """Words of the commands of a notebook; its lists of words are computed, nothing else is."""
-    source = (ROOT / "experiments" / f"{name}.py").read_text()
+    path = ROOT / "experiments" / f"{name}.py"
+    source = path.read_text()
+    tree = ast.parse(source)
     lists: dict[str, list[str]] = {}
     constants = {"LOG": LOG, "RESULTS": "results"}
-    for node in ast.parse(source).body:
+    for node in tree.body:
         target = getattr(node, "target", None) or getattr(node, "targets", [None])[0]
         if getattr(target, "id", "") in WORDS:
-            exec(compile(ast.Module([node], []), name, "exec"), constants, lists)
+            module = ast.Module([node], [])
+            code = compile(module, name, "exec")
+            exec(code, constants, lists)
     if name == "strange_log":
         first = lists["COMMAND"] + lists["FIRST"]
         return [first, [*first, "data.disturbance='Außen'"]]
@@ -52,7 +60,9 @@ def commands_of_notebook(name: str) -> list[list[str]]:
 
 def commands_of_page(page: Path) -> list[list[str]]:
     """Words of the commands that begin a run, in the console blocks of a page."""
-    lines = [line for block in SHELL.findall(page.read_text()) for line in block.splitlines()]
+    text = page.read_text()
+    blocks = SHELL.findall(text)
+    lines = "\n".join(blocks).splitlines()
     return [shlex.split(line) for line in lines if line.startswith("ssm-study run ")]
 
 
@@ -69,4 +79,6 @@ def test_the_runs_that_a_page_names_are_those_of_its_commands(page: Path) -> Non
     is_notebook = page.parent.name == "notebooks"
     commands = commands_of_notebook(page.stem) if is_notebook else commands_of_page(page)
     made = {name for words in commands for name in names_of_command(words)}
-    assert set(DIGITS.findall(page.read_text())) - {EXAMPLE} <= made
+    text = page.read_text()
+    named = set(DIGITS.findall(text)) - {EXAMPLE}
+    assert named <= made
