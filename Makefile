@@ -39,11 +39,11 @@ install: .venv/.installed
 study: .venv/.compiled
 	$(BIN)/ssm-study run experiment=paper
 
-# The linters use one core, and no library that is to be compiled: meanwhile the other cores do that.
+# The linters need no library that is to be compiled: meanwhile that is done.
 # One worker more than there are cores: many tests wait for processes that they start.
 test: .venv/.installed
 	@$(COMPILE) & $(BIN)/ruff format --check . && $(BIN)/ruff check . && \
-	$(BIN)/lint-imports && $(BIN)/mypy; linted=$$?; wait; exit $$linted
+	$(BIN)/lint-imports && $(BIN)/mypy --num-workers auto; linted=$$?; wait; exit $$linted
 	$(BIN)/pytest -n $$($(BIN)/python -c "import os; print(min(8, (os.cpu_count() or 1) + 1))") --dist worksteal
 
 docs: install
