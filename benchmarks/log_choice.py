@@ -24,6 +24,7 @@ when its log is done, so that a run that is killed keeps what it has. `--real-lo
 import argparse
 import multiprocessing
 import os
+import re
 import subprocess
 import time
 from collections.abc import Iterator, Sequence
@@ -127,10 +128,19 @@ def logs_of_kinds(
 
 
 def real_logs(folder: Path, names: Sequence[str], seeds: Sequence[int]) -> Iterator[Log]:
-    """The real logs of a folder, trained from several seeds."""
+    """The real logs of a folder, trained from several seeds; a log whose files are not all there is
+    named and left out."""
     for name, templates in REAL.items():
+        if names and name not in names:
+            continue
         settings = tuple(template.format(folder=folder) for template in templates)
-        for seed in seeds if name in names or not names else ():
+        text = " ".join(settings)
+        paths = re.findall(rf"{re.escape(str(folder))}/[^,\]\s]+", text)
+        missing = [path for path in paths if not Path(path).is_file()]
+        if missing:
+            print(f"{name} is left out: {missing[0]} is missing", flush=True)
+            continue
+        for seed in seeds:
             yield Log(name=name, seed=seed, settings=settings, training_seed=seed)
 
 

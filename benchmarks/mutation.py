@@ -135,7 +135,7 @@ GROUPS = {
         modules=modules_of("synthesis", "structured_lmi", "structured_riccati", "model_selection")
         + theorems("structured_state_feedback", "structured_observer", "measured_discs_structured")
         + modules_of("models", "contracting", "structured", "structured_spec")
-        + modules_of("training", "levenberg", "structured_fit", "structured_start")
+        + modules_of("training", "levenberg", "structured_fit", "structured_start", "pruning")
         + modules_of("training", "structured_problem", "choice"),
         tests=f"{NEURONS} tests/oracles/test_synthesis_structured.py "
         "tests/oracles/test_tolerated_gain.py",

@@ -36,7 +36,7 @@ class Entry(NamedTuple):
     text: str
 
 
-class Found(NamedTuple):
+class DocumentedFunction(NamedTuple):
     """One function of a package and its file."""
 
     node: ast.FunctionDef | ast.AsyncFunctionDef
@@ -51,17 +51,21 @@ def functions_in(file: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]
             yield node
 
 
-def find_functions(package: str) -> list[Found]:
+def find_functions(package: str) -> list[DocumentedFunction]:
     """Documented functions of an installed package, without those of its tests."""
     spec = find_spec(package)
     if spec is None or spec.origin is None:
         raise SystemExit(f"{package} is not installed: pip install -e '.[dev]'")
     folder = Path(spec.origin).parent
-    files = [path for path in sorted(folder.rglob("*.py")) if not LEFT_OUT & set(path.parts)]
-    return [Found(node, file.relative_to(folder)) for file in files for node in functions_in(file)]
+    found = []
+    for file in sorted(folder.rglob("*.py")):
+        place = file.relative_to(folder)
+        if LEFT_OUT.isdisjoint(place.parts):
+            found += [DocumentedFunction(node, place) for node in functions_in(file)]
+    return found
 
 
-def describe(found: Found) -> str:
+def describe(found: DocumentedFunction) -> str:
     """Place, signature and first sentence, each line cut to the longest that is shown."""
     node = found.node
     result = "" if node.returns is None else f" -> {ast.unparse(node.returns)}"
@@ -70,7 +74,7 @@ def describe(found: Found) -> str:
     return f"{signature[:LONGEST]}\n    {sentence[:LONGEST]}"
 
 
-def draw(seed: int, folder: Path) -> None:
+def draw_functions(seed: int, folder: Path) -> None:
     """Write the shuffled entries and, apart, the package of each."""
     rng = np.random.default_rng(seed)
     drawn = []
@@ -86,8 +90,8 @@ def draw(seed: int, folder: Path) -> None:
     (folder / "key.json").write_text(json.dumps(key, indent=1) + "\n")
 
 
-def count(folders: Sequence[Path]) -> None:
-    """Print the share of accepted functions of each package, by reader, as of thirty."""
+def print_verdict_shares(folders: Sequence[Path]) -> None:
+    """Print, by reader and package, how many of thirty functions were accepted."""
     verdicts: dict[tuple[str, str], list[list[int]]] = defaultdict(list)
     for folder in folders:
         key = json.loads((folder / "key.json").read_text())
@@ -121,9 +125,9 @@ def main() -> None:
     counting.add_argument("folders", type=Path, nargs="+")
     options = parser.parse_args()
     if options.command == "draw":
-        draw(options.seed, options.folder)
+        draw_functions(options.seed, options.folder)
     else:
-        count(options.folders)
+        print_verdict_shares(options.folders)
 
 
 if __name__ == "__main__":

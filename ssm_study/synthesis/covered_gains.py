@@ -55,11 +55,11 @@ class ScoredGains:
     area: float
     coverage: float
 
-    def is_better_than(self, other: "ScoredGains", target_coverage: float) -> bool:
+    def is_better_than(self, other: "ScoredGains", aimed_coverage: float) -> bool:
         """Whether gains tolerate a larger model error than other gains or, if both tolerate enough,
         respond faster."""
         smaller_coverage = min(self.coverage, other.coverage)
-        if smaller_coverage >= target_coverage:
+        if smaller_coverage >= aimed_coverage:
             return self.area < other.area
         return self.coverage > other.coverage
 
@@ -70,8 +70,8 @@ class GainSearch:
     respond faster.
 
     `largest_area` is the slowest response allowed, in areas of the open loop on the model; `margin`
-    the stability margin that the prediction must exceed. A search that `is_brief` ends where the
-    target is met, without rounds that make the gains faster, and tries one proof.
+    the stability margin that the prediction must exceed. A search that `is_brief` ends where its
+    aim is met, without rounds that make the gains faster, and tries one proof.
     """
 
     model: Model
@@ -91,14 +91,16 @@ class GainSearch:
         proved to recorded model error); None if there is none.
 
         A proof keeps a little less than its frequencies promise, so the search aims beyond the
-        target. Where it ends below its aim, the proof is tried nevertheless; where a proof keeps
-        too little, the search goes on for as much more.
+        target. Where it ends between target and aim, the proof is tried nevertheless; where a proof
+        keeps too little, the search goes on for as much more, and ends if it finds nothing better.
         """
         wanted_coverage = expected_coverage_loss(self.model) * target_coverage
+        proved_gains: Gains | None = None
         certificates = 1 if self.is_brief else CERTIFICATES
         for _ in range(certificates):
             best = self.search_best_gains(start_design, wanted_coverage, rounds, largest_area)
-            if best.coverage < target_coverage:
+            nothing_better = proved_gains is not None and has_equal_gains(best.gains, proved_gains)
+            if best.coverage < target_coverage or nothing_better:
                 return None
             design = self.certify_gains(start_design, best.gains)
             if design is None:
@@ -109,6 +111,7 @@ class GainSearch:
             if best.coverage < wanted_coverage:
                 return None
             start_design = design
+            proved_gains = start_design.gain_pair
             proved_or_least = max(proved, LEAST_PROVED * target_coverage)
             wanted_coverage = MORE * wanted_coverage * target_coverage / proved_or_least
         return None
@@ -126,10 +129,10 @@ class GainSearch:
         return self._response_areas([gains])[0]
 
     def search_best_gains(
-        self, start_design: Design, target_coverage: float, rounds: int, largest_area: float
+        self, start_design: Design, aimed_coverage: float, rounds: int, largest_area: float
     ) -> ScoredGains:
-        """Search at random for the fastest gains that tolerate a required multiple of the recorded
-        model error; the gains are not yet certified."""
+        """Search at random for the fastest gains whose coverage (ratio of tolerated to recorded
+        model error) reaches the aimed one; the gains are not yet certified."""
         feedback = start_design.state_feedback
         assert isinstance(feedback, StateFeedback)
         controlled = controlled_system(self.model, feedback)
@@ -145,12 +148,12 @@ class GainSearch:
         first_ratios = self._settling_time_ratios(first_gains)
         slowest = max(FASTER, first_ratios[0])
         reached = [best.coverage]
-        while self._needs_another_round(reached, target_coverage, rounds):
+        while self._needs_another_round(reached, aimed_coverage, rounds):
             proposal_numbers = range(PROPOSALS)
             proposals = [scale_gains_at_random(best.gains, step, random) for _ in proposal_numbers]
             fast = self._faster_proposals(proposals, slowest)
-            trials = self._score_proposals(fast, loop, centre, best, target_coverage, allowed)
-            better = self._best_stable_proposal(trials, best, target_coverage)
+            trials = self._score_proposals(fast, loop, centre, best, aimed_coverage, allowed)
+            better = self._best_stable_proposal(trials, best, aimed_coverage)
             step *= SHORTEN if better is None else LENGTHEN
             large_step = max(step, SMALLEST_STEP)
             step = min(large_step, LARGEST_STEP)
@@ -159,7 +162,7 @@ class GainSearch:
         return best
 
     def _needs_another_round(
-        self, coverages: Sequence[float], target_coverage: float, rounds: int
+        self, coverages: Sequence[float], aimed_coverage: float, rounds: int
     ) -> bool:
         """Whether a random search for gains continues, given the best coverage (ratio of tolerated
         to recorded model error) after each round.
@@ -168,10 +171,10 @@ class GainSearch:
         lies below the aim, and is tried sooner than further rounds.
         """
         if not self.is_brief:
-            return is_worth_another_round(coverages, target_coverage, rounds)
+            return is_worth_another_round(coverages, aimed_coverage, rounds)
         if len(coverages) <= rounds:
-            return coverages[-1] < target_coverage
-        least_coverage = target_coverage / expected_coverage_loss(self.model)
+            return coverages[-1] < aimed_coverage
+        least_coverage = aimed_coverage / expected_coverage_loss(self.model)
         return is_worth_another_round(coverages, least_coverage, rounds)
 
     def _score_proposals(
@@ -180,16 +183,16 @@ class GainSearch:
         loop: "LoopCoverage",
         centre: float,
         best: ScoredGains,
-        target_coverage: float,
+        aimed_coverage: float,
         largest_area: float,
     ) -> list[ScoredGains]:
         """Score proposed gains whose simulated response is fast enough and whose controller is
         itself stable."""
         if not proposals:
             return []
-        is_covered = best.coverage >= target_coverage
+        is_covered = best.coverage >= aimed_coverage
         allowed = best.area if is_covered else largest_area
-        least = min(best.coverage, target_coverage)
+        least = min(best.coverage, aimed_coverage)
         trials = []
         areas = self._response_areas(proposals)
         for gains, area in zip(proposals, areas, strict=True):
@@ -205,13 +208,13 @@ class GainSearch:
         return trials
 
     def _best_stable_proposal(
-        self, proposals: list[ScoredGains], best: ScoredGains, target_coverage: float
+        self, proposals: list[ScoredGains], best: ScoredGains, aimed_coverage: float
     ) -> ScoredGains | None:
         """Best of the proposed gains that are predicted to be stable and surpass the best gains so
         far; None if there are none."""
         leader: ScoredGains | None = None
         for trial in proposals:
-            if not trial.is_better_than(leader or best, target_coverage):
+            if not trial.is_better_than(leader or best, aimed_coverage):
                 continue
             prediction = predict_margins(self.model, trial.gains, self.balls, self.mismatch)
             if prediction.predicts_stability(self.margin):
@@ -254,6 +257,15 @@ class GainSearch:
         if not isinstance(new_feedback, StateFeedback) or not isinstance(new_observer, Observer):
             return None
         return Design(state_feedback=new_feedback, observer=new_observer)
+
+
+def has_equal_gains(first: Gains, second: Gains) -> bool:
+    """Whether two pairs of controller and observer have equal gain matrices."""
+    ones = gain_matrices_by_symbol(first)
+    others = gain_matrices_by_symbol(second)
+    return ones.keys() == others.keys() and all(
+        np.array_equal(ones[letter], others[letter]) for letter in ones
+    )
 
 
 def is_worth_another_round(coverages: Sequence[float], target_coverage: float, rounds: int) -> bool:

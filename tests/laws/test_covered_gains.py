@@ -194,6 +194,22 @@ def test_gains_that_fall_short_of_the_aim_but_not_of_the_target_are_proved(
     assert search.proved_coverage(kept) >= target
 
 
+def test_gains_whose_proof_fell_short_are_not_proved_again(
+    search, coverage_of_grid, monkeypatch
+) -> None:
+    proved = []
+
+    def coverage_short_of_target(_search, design) -> float:
+        proved.append(design)
+        return 0.5 * coverage_of_grid
+
+    monkeypatch.setattr(GainSearch, "proved_coverage", coverage_short_of_target)
+    target = coverage_of_grid / 1.05  # the aim is met by the gains at the start
+    kept = search.improve_design(FAST, target, rounds=0, largest_area=AREA_TOO_LARGE)
+    assert kept is None
+    assert len(proved) == 1
+
+
 def test_a_grid_without_a_design_is_given_up_after_its_near_pairs() -> None:
     tried = []
 
