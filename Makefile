@@ -1,15 +1,16 @@
-# On a fresh clone with Python 3.11 and make only: `make study` runs the paper's study, `make test` checks everything.
+# On a fresh clone with Python 3.11 and make only: `make study` runs the paper's study, `make test` checks it.
 PYTHON ?= python3.11
 BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= passive
 unexport PYTHONDONTWRITEBYTECODE # hundreds of processes would compile every module again
 
-.PHONY: help install study test docs clean
+.PHONY: help install study test test-all lint docs clean
 
 help:
 	@echo "make study   install what running needs and run the paper's study (conf/experiment/paper.yaml)"
 	@echo "make test    install the tools too, then formatter check, linters, type checker, tests"
+	@echo "make test-all  the same with the long tests: commands of the docs, notebooks, page, hard studies"
 	@echo "make docs    build the documentation site into site/, warnings are errors"
 	@echo "make clean   remove the environment and every cache (results stay)"
 
@@ -41,10 +42,18 @@ study: .venv/.compiled
 
 # The linters need no library that is to be compiled: meanwhile that is done.
 # One worker more than there are cores: many tests wait for processes that they start.
-test: .venv/.installed
+WORKERS = $$($(BIN)/python -c "import os; print(min(8, (os.cpu_count() or 1) + 1))")
+TESTS = $(BIN)/pytest -n $(WORKERS) --dist worksteal
+
+test: lint
+	$(TESTS) -m "not long"
+
+test-all: lint
+	$(TESTS)
+
+lint: .venv/.installed
 	@$(COMPILE) & $(BIN)/ruff format --check . && $(BIN)/ruff check . && \
 	$(BIN)/lint-imports && $(BIN)/mypy --num-workers auto; linted=$$?; wait; exit $$linted
-	$(BIN)/pytest -n $$($(BIN)/python -c "import os; print(min(8, (os.cpu_count() or 1) + 1))") --dist worksteal
 
 docs: install
 	$(BIN)/mkdocs build --strict

@@ -72,8 +72,32 @@ WHOLE_RUNS = {
     "test_verify_omissions",
     "test_wrong_kinds",
 }
-# Of these, whose tests look at the figures that a run draws.
+# Two fifths of the processor time: what documents show and how the page looks, choices by training,
+# studies of hard plants. `make test` leaves them out but for README's commands.
+LONG = {
+    "test_coverage_sampler",
+    "test_disturbance_line",
+    "test_docs_commands",
+    "test_docs_notebooks",
+    "test_docs_site",
+    "test_engine_slurm",
+    "test_evidence_controls",
+    "test_log_to_device",
+    "test_report_page",
+    "test_study_integrating",
+    "test_study_refine",
+    "test_titration",
+    "test_training_choice",
+    "test_training_short_starts",
+}
+# Of the whole runs, whose tests look at the figures that a run draws.
 DRAWING = {"test_api", "test_docs_notebooks", "test_overlay", "test_study_line"}
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Mark the tests that `make test` leaves out."""
+    if item.path.stem in LONG and "[README.md" not in item.name:
+        item.add_marker(pytest.mark.long)
 
 
 @pytest.hookimpl(wrapper=True)
