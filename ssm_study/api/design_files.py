@@ -47,14 +47,14 @@ def write_export_records(data: DataSet, folder: Path) -> None:
 
 
 def signal_groups_of_records(
-    records: Sequence[Trajectory], signal: str, topic: str, channels: Sequence[Channel]
+    records: Sequence[Trajectory], signal: str, signal_name: str, channels: Sequence[Channel]
 ) -> Iterator[SignalGroup]:
     """One signal of each record as a signal group of an MCAP file, under its topic; records without
     the signal are left out."""
     for i, record in enumerate(records):
         values = getattr(record, signal)
         if values is not None:
-            name = f"/record_{i}/{topic}"
+            topic = f"/record_{i}/{signal_name}"
             yield SignalGroup(
-                topic=name, time_s=record.time_s, channels=tuple(channels), values=values
+                topic=topic, time_s=record.time_s, channels=tuple(channels), values=values
             )

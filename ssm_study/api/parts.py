@@ -38,6 +38,8 @@ ARGUMENTS = {
     "input_lower": "input_limits",
     "input_upper": "input_limits",
 }
+# Argument after which `st.fit` and `st.control` take overrides, by the part of their keywords.
+OVERRIDES_AFTER = {"model": "step_s", "synthesis": "the model"}
 NO_FIELD = "has no such field"
 REMEDIES = {"neurons": "neurons belong to model='structured'"}
 REMEDY = "write key=value, as in model.order=4; sweeps and experiments are for st.study"
@@ -171,21 +173,27 @@ def split_settings(settings: Iterable[str]) -> list[tuple[str, str]]:
     texts of another form."""
     pairs = []
     for word in settings:
-        key, equals, value = str(word).partition("=")
+        _, equals, value = str(word).partition("=")
+        key = key_of_setting(word)
         has_sign = bool(equals)
         usable = has_sign and bool(key) and not key.startswith(("-", "~", "hydra"))
         require(usable, "overrides", word, "is no setting", REMEDY)
-        plain_key = key.strip().lstrip("+")
-        pairs.append((plain_key, value.strip()))
+        pairs.append((key, value.strip()))
     return pairs
+
+
+def key_of_setting(setting: str) -> str:
+    """Key of a setting, such as `model.order` of `+model.order=4`, without plus signs and
+    spaces."""
+    signed_key = str(setting).partition("=")[0]
+    return signed_key.strip().lstrip("+")
 
 
 def part_of_setting(setting: str) -> str:
     """Part of a study, such as `model`, to which a setting such as `model.order=4` belongs."""
-    signed_key = str(setting).partition("=")[0]
-    setting_path = signed_key.lstrip("+")
-    key = setting_path.strip().rpartition("@")[2]
-    dotted_key = key.replace("/", ".")
+    key = key_of_setting(setting)
+    place = key.rpartition("@")[2]
+    dotted_key = place.replace("/", ".")
     return dotted_key.partition(".")[0]
 
 
@@ -242,7 +250,7 @@ class StudyParts:
     def set_seed(self, name: str, value: Any) -> None:
         """Set the seed of the data and the model, or that of the loop. Raises `BadRequest` for
         anything but a whole number from 0 to 2^32 - 1."""
-        seed = plain_number(value)
+        seed = python_value(value)
         require_seed(name, seed)
         self.numbers[name] = seed
 
@@ -267,9 +275,11 @@ class StudyParts:
         """Set several settings of one part of a study; a setting with the new value None stays
         unchanged."""
         for name, given in settings.items():
-            value = plain_number(given)
+            value = python_value(given)
             problem = f"is no setting of the {part}"
-            remedy = f'give the text "{name}={value}", without a name'
+            override = f"{name}={format_setting_value(value)}"
+            place = OVERRIDES_AFTER.get(part, part)
+            remedy = f'write it as "{override}" after {place}, not as a keyword'
             require("." not in name, name, value, problem, remedy)
             if value is not None:
                 sign = self._override_prefix(f"{part}.{name}")
@@ -311,10 +321,18 @@ class StudyParts:
         return (*chosen, *self.details, *numbers)
 
 
-def plain_number(value: Any) -> Any:
-    """Number of Python for a number of NumPy, as a loop over an array gives it; any other value is
-    returned unchanged."""
-    return value.item() if isinstance(value, np.generic) else value
+def python_value(value: Any) -> Any:
+    """Value with numbers of Python in place of those of NumPy, also within lists and tuples. An
+    array becomes a list; any other value is returned unchanged."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        return python_value(value.tolist())
+    if isinstance(value, list):
+        return [python_value(item) for item in value]
+    if isinstance(value, tuple):
+        return tuple(python_value(item) for item in value)
+    return value
 
 
 def format_setting_value(value: Any) -> str:

@@ -219,28 +219,29 @@ def _encode_rows(parts: list[SignalGroup]) -> list[bytes]:
     return [whole[k : k + size] for k in range(0, len(whole), size)]
 
 
-def read_mcap(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
+def read_mcap(path: Path, field: str = "path") -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
     """Read the groups of signals and the metadata of an MCAP recording.
 
-    Raises `BadRequest` for a file that is missing, truncated or damaged, or that holds no numbers.
+    Raises `BadRequest` for a file that is missing, truncated, damaged or too large, or that holds
+    no numbers; `field` is the setting that names the file.
     """
     remedy = "check the spelling"
-    require(path.is_file(), "path", path, "no such file", remedy)
+    require(path.is_file(), field, path, "no such file", remedy)
     try:
-        return _read_groups(path)
+        return _read_groups(path, field)
     except BadRequest:
         raise
     except DAMAGE as error:
         problem = f"not a complete MCAP recording ({type(error).__name__}: {error})"
         remedy = "record it again"
-        raise BadRequest("path", path, problem, remedy) from error
+        raise BadRequest(field, path, problem, remedy) from error
 
 
-def _read_groups(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
+def _read_groups(path: Path, field: str) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
     """Read the groups of signals and the metadata of an MCAP file, after checking that the file is
     complete."""
     records_by_type: dict[type, list[Any]] = defaultdict(list)
-    for record in iterate_mcap_records(path):
+    for record in iterate_mcap_records(path, field=field):
         records_by_type[type(record)].append(record)
     schemas = {schema.id: schema for schema in records_by_type[records.Schema]}
     channels = {channel.id: channel for channel in records_by_type[records.Channel]}
@@ -253,19 +254,19 @@ def _read_groups(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
             metadata |= record.metadata
     remedy = "record it again"
     ends = records_by_type[records.DataEnd]
-    require(ends, "path", path, "the data section has no end", remedy)
+    require(ends, field, path, "the data section has no end", remedy)
     counted = len(records_by_type[records.Message])
     promised = {one.message_count for one in records_by_type[records.Statistics]}
     problem = f"{max(promised, default=0)} messages promised, {counted} found"
     remedy = "record it again"
-    require(promised <= {counted}, "path", path, problem, remedy)
+    require(promised <= {counted}, field, path, problem, remedy)
     groups: list[SignalGroup] = []
     for number, channel in channels.items():
         if messages[number]:
             groups += _decode_groups(channel, messages[number], schemas.get(channel.schema_id))
     numeric = tuple(groups)
     remedy = "record the signals as numbers"
-    require(len(numeric) > 0, "path", path, "holds no topic with number fields", remedy)
+    require(len(numeric) > 0, field, path, "holds no topic with number fields", remedy)
     return numeric, metadata
 
 

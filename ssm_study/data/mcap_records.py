@@ -39,19 +39,21 @@ KINDS: dict[int, Any] = {
 }
 
 
-def iterate_mcap_records(path: Path, with_messages: bool = True) -> Iterator[records.McapRecord]:
+def iterate_mcap_records(
+    path: Path, with_messages: bool = True, field: str = "path"
+) -> Iterator[records.McapRecord]:
     """Iterate over the records of an MCAP file, including those in compressed chunks. Raises
-    `BadRequest` before more than `LARGEST` bytes are read or unpacked."""
+    `BadRequest` about `field` before more than `LARGEST` bytes are read or unpacked."""
     with path.open("rb") as file:
         _require_magic(file.read(len(MAGIC)), 0)
-    content = read_whole_file(path, LARGEST, "split the recording")
+    content = read_whole_file(path, LARGEST, field, "split the recording")
     unpacked = 0
     for start, end, record in _split_records(content, len(MAGIC), with_messages):
         if isinstance(record, records.Chunk):
             unpacked += _unpacked_size(record)
             remedy = "split the recording"
             problem = f"unpacks to more than {LARGEST >> 20} MiB"
-            require(unpacked <= LARGEST, "path", path, problem, remedy)
+            require(unpacked <= LARGEST, field, path, problem, remedy)
             stream, size = get_chunk_data_stream(record, validate_crc=True)
             for _, _, inner in _split_records(stream.read(size), 0, with_messages):
                 yield inner

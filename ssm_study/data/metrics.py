@@ -147,18 +147,18 @@ def persistency_order(u: Float[np.ndarray, "T m"], at_most: int = HIGHEST_ORDER)
     deepest = min(at_most, (samples + 1) // (inputs + 1))
     order = 0
     too_deep = deepest + 1
-    middle = deepest
+    depth = deepest
     while too_deep - order > 1:  # the ranks are nested, so halving finds the last full one
-        columns = len(u) - middle + 1
-        shifted = [u[k : k + columns].T for k in range(middle)]
+        columns = len(u) - depth + 1
+        shifted = [u[k : k + columns].T for k in range(depth)]
         hankel = np.concatenate(shifted)
         singular_values = np.linalg.svd(hankel, compute_uv=False)
         largest = singular_values[0]
         smallest = singular_values[-1]
         is_full = smallest > RANK_TOLERANCE * largest
         if is_full:
-            order = middle
+            order = depth
         else:
-            too_deep = middle
-        middle = (order + too_deep) // 2
+            too_deep = depth
+        depth = (order + too_deep) // 2
     return order

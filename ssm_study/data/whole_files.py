@@ -2,18 +2,17 @@
 
 from pathlib import Path
 
-from ssm_study.durable import open_regular_file
+from ssm_study.durable import read_limited_bytes
 from ssm_study.refusal import require
 
 MIB = 2**20
 
 
-def read_whole_file(path: Path, most_bytes: int, remedy: str) -> bytes:
-    """Read a log file as bytes. Raises `BadRequest` for a larger file, before any of it is read."""
-    with open_regular_file(path) as stream:
-        size = path.stat().st_size
-        problem = (
-            f"has {size / MIB:.0f} MiB, more than the {most_bytes / MIB:.0f} MiB that are read"
-        )
-        require(size <= most_bytes, "data.path", path, problem, remedy)
-        return stream.read()
+def read_whole_file(path: Path, most_bytes: int, field: str, remedy: str) -> bytes:
+    """Read a log file as bytes. Raises `BadRequest` for a larger file, before any of it is read;
+    `field` is the setting that names the file."""
+    size = path.stat().st_size
+    size_mib = -(-size // MIB)  # rounded up
+    problem = f"has {size_mib} MiB, more than the {most_bytes // MIB} MiB that are read"
+    require(size <= most_bytes, field, path, problem, remedy)
+    return read_limited_bytes(path, most_bytes)

@@ -69,7 +69,8 @@ def write_rollouts(
 def read_rollouts(path: Path) -> tuple[Rollouts, RecordedCases]:
     """Read the simulations of a closed loop from a recording file.
 
-    Raises `BadRequest` if the file lacks a topic, or if its cases do not share one reference.
+    Raises `BadRequest` if the file lacks a topic or a simulation, or if its cases do not share one
+    reference.
     """
     recording = RecordedCases.from_file(path)
     about = recording.about

@@ -174,7 +174,8 @@ def contradicted_status(run: Path, record: Mapping[str, Any]) -> CheckedClaim | 
     """Failed check for a run that is recorded as failed or unfinished and has the traces of a
     finished one; None for any other run.
 
-    Only a finished run writes its duration, and its manifest is written before its record.
+    Only a finished run records its duration; a run that fails removes its manifest before it writes
+    its record.
     """
     status = record.get("status")
     trace = ""

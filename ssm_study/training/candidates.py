@@ -331,7 +331,8 @@ def cross_validate_structured_model(
     """Train a structured model briefly on every cross-validation fold, and compute its errors on
     the held-out parts. The last folds are left out if it is far behind `best`.
 
-    `linear_starts` has for each fold those of the models before it.
+    `linear_starts` holds, for each fold, the linear starts of models trained before; new ones are
+    added.
     """
     brief = settings_for_short_training(spec)
     trial = CandidateErrors()

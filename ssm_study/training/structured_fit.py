@@ -40,8 +40,8 @@ UNPENALISED = 25  # steps before the penalty on the gain's sign
 RACE = 5  # steps of each draw inside the contracting set
 TRUSTED = 0.5  # of its loss: a least-squares start is replaced where random poles come below
 Matrices = dict[str, Float[np.ndarray, "..."]]  # of a model, by their names
-# Linear models from which trainings on the same records began, by their settings. With each is the
-# state of the random numbers behind it.
+# Linear models with which trainings on the same records began, by their settings, each with the
+# state of the random number generator after its fit.
 LinearStarts = dict[tuple[object, ...], tuple[Theta, dict[str, Any]]]
 
 
@@ -205,8 +205,9 @@ class StructuredFit(pl.LightningModule):
     def _linear_start(self, short: SimulationProblem, rng: np.random.Generator) -> Theta:
         """Linear model with a fitted S_u, to which random neurons are added.
 
-        Models on the same records that differ only in their neurons begin with the same one; it is
-        fitted once, and the random numbers then go on as behind the fit.
+        Models on the same records that differ only in their neurons begin with the same one. It is
+        fitted once; the generator is then set to its state after that fit, so all later draws are
+        the same.
         """
         settings = self._linear_start_settings
         if settings in self.linear_starts:

@@ -23,20 +23,20 @@ PAPER = [["experiment=paper"]]
 
 
 @cache
-def run_name(*words: str) -> str:
+def run_digits(*words: str) -> str:
     config = composed(list(words))
     name = str(config.run)
     _, _, digits = name.rpartition("-")
     return digits
 
 
-def names_of_command(words: list[str]) -> set[str]:
+def digits_of_command(words: list[str]) -> set[str]:
     """Last digits of the names of all runs that a command makes, one or a whole sweep."""
     settings = [word for word in words if "=" in word]
     parser = OverridesParser.create()
     overrides = parser.parse_overrides(settings)
     (jobs,) = BasicSweeper.split_arguments(overrides, max_batch_size=None)
-    return {run_name(*job) for job in jobs}
+    return {run_digits(*job) for job in jobs}
 
 
 def commands_of_notebook(name: str) -> list[list[str]]:
@@ -78,7 +78,7 @@ def test_some_pages_name_runs() -> None:
 def test_the_runs_that_a_page_names_are_those_of_its_commands(page: Path) -> None:
     is_notebook = page.parent.name == "notebooks"
     commands = commands_of_notebook(page.stem) if is_notebook else commands_of_page(page)
-    made = {name for words in commands for name in names_of_command(words)}
+    made = {digits for words in commands for digits in digits_of_command(words)}
     text = page.read_text()
     named = set(DIGITS.findall(text)) - {EXAMPLE}
     assert named <= made

@@ -68,15 +68,14 @@ def data() -> DataSet:
 
 
 def trained(data: DataSet, folder: Path, epochs: int = 25, **choices: object) -> StructuredSSM:
-    spec = StructuredSpec(**({"order": 2, "neurons": 1, "knots": 0, "starts": 1} | choices))  # type: ignore[arg-type]
+    sizes = {"order": 2, "neurons": 1, "knots": 0}
+    settings: dict[str, Any] = {"starts": 1} | sizes | choices
+    spec = StructuredSpec(**settings)
     no_use = Lbfgs(steps_per_epoch=1, history=1)
-    rule = {
-        "max_epochs": epochs,
-        "patience": 15,
-        "min_gain_percent": 0.0,
-        "validation_tolerance_percent": 0.2,
-    }
-    training = Training(optimiser=no_use, **rule)  # type: ignore[arg-type]
+    rule: dict[str, Any] = {"max_epochs": epochs, "patience": 15}
+    rule["min_gain_percent"] = 0.0
+    rule["validation_tolerance_percent"] = 0.2
+    training = Training(optimiser=no_use, **rule)
     identified = training.identify(spec, data, 0, folder)
     assert isinstance(identified.model, StructuredSSM)
     if epochs > 1:
@@ -132,26 +131,26 @@ def test_a_neuron_that_does_nothing_is_removed_and_the_metric_stays(
         assert neurons == ("tanh",)
 
 
-@pytest.mark.parametrize(
-    ("choice", "word"),
-    [
-        ({"order": 0}, "model.order"),
-        ({"neurons": -1}, "model.neurons"),
-        ({"kinds": "sine"}, "unknown neuron"),
-        ({"input_path": "late"}, "model.input_path"),
-        ({"rate": 1.2}, "model.rate"),
-        ({"gain_share": 1.0}, "model.gain_share"),
-        ({"slope_lower": 0.0}, "model.slope_lower"),
-        ({"integrating_output": True, "output_knots": 4}, "model.output_knots"),
-        (
-            {"integrating_output": True, "neurons": 0},
-            "model.neurons = 0: model.integrating_output=true needs neurons",
-        ),
-    ],
-)
-def test_what_makes_no_sense_is_refused(choice: dict[str, object], word: str) -> None:
+REFUSED: list[tuple[dict[str, Any], str]] = [({"kinds": "sine"}, "unknown neuron")]
+REFUSED_NUMBERS = {"order": 0, "neurons": -1, "rate": 1.2}
+REFUSED_SHARES = {"gain_share": 1.0, "slope_lower": 0.0}
+REFUSED_VALUES = REFUSED_NUMBERS | REFUSED_SHARES | {"input_path": "late"}
+for refused_name, refused_value in REFUSED_VALUES.items():
+    refused_choice = {refused_name: refused_value}
+    field_words = f"model.{refused_name} = "
+    REFUSED.append((refused_choice, field_words))
+INTEGRATING_WITH_KNOTS = {"integrating_output": True, "output_knots": 4}
+REFUSED.append((INTEGRATING_WITH_KNOTS, "model.output_knots"))
+INTEGRATING_WITHOUT_NEURONS = {"integrating_output": True, "neurons": 0}
+NEEDS_NEURONS = "model.neurons = 0: model.integrating_output=true needs neurons"
+REFUSED.append((INTEGRATING_WITHOUT_NEURONS, NEEDS_NEURONS))
+
+
+@pytest.mark.parametrize(("choice", "word"), REFUSED)
+def test_what_makes_no_sense_is_refused(choice: dict[str, Any], word: str) -> None:
+    settings = {"order": 2, "neurons": 1} | choice
     with pytest.raises(BadRequest, match=word):
-        StructuredSpec(**({"order": 2, "neurons": 1} | choice))  # type: ignore[arg-type]
+        StructuredSpec(**settings)
 
 
 def test_an_integrated_model_is_stored_with_its_integrator(data: DataSet) -> None:
@@ -202,3 +201,21 @@ def test_a_linear_start_that_is_there_changes_no_number_of_a_training(
         np.testing.assert_array_equal(actual, block)
     is_same_linear_model = {"knots", "order"}.isdisjoint(other)
     assert len(starts) == (1 if is_same_linear_model else 2)
+
+
+SIZES = {"order": 3, "knots": 0, "output_knots": 4}
+PATHS = {"feedthrough": True, "dead_time": 2}
+OF_THE_LINEAR_MODEL: dict[str, Any] = SIZES | PATHS
+OF_THE_LINEAR_MODEL["integrating_output"] = True
+
+
+def test_each_setting_of_the_linear_model_has_its_own_linear_start(data: DataSet) -> None:
+    spec = StructuredSpec(order=2, neurons=2, knots=4, output_knots=0)
+    fits = [StructuredFit(spec, data, seed) for seed in (0, 1)]
+    for name, value in OF_THE_LINEAR_MODEL.items():
+        changes = {name: value}
+        changed_spec = replace(spec, **changes)
+        changed_fit = StructuredFit(changed_spec, data, 0)
+        fits.append(changed_fit)
+    keys = {fit._linear_start_settings for fit in fits}
+    assert len(keys) == len(fits)

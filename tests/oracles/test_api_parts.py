@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from ssm_study.api import fitting
-from ssm_study.api.parts import GROUPS, StudyParts, configuration_folders, load_choice
+from ssm_study.api.parts import (
+    GROUPS,
+    StudyParts,
+    configuration_folders,
+    format_setting_value,
+    load_choice,
+    part_of_setting,
+)
 from ssm_study.cli.from_python import compose_configuration
 from ssm_study.engine.settings import plain_settings
 from ssm_study.refusal import BadRequest
@@ -122,3 +129,39 @@ def test_numbers_of_an_array_and_words_with_spaces_are_settings() -> None:
     assert parts.numbers == {"seed": 3, "loop_seed": 1}
     assert parts.overrides_for_parts("seed") == ("seed = 3",)
     assert {"training.max_epochs=5", "model.order=2"} <= set(parts.command_overrides())
+
+
+@pytest.mark.parametrize(
+    "word", ["+synthesis.cover=1", " +synthesis.cover=1", "++synthesis.cover = 1"]
+)
+def test_a_setting_with_spaces_and_signs_reaches_its_part(word: str) -> None:
+    """`st.fit` keeps it for `st.control`; with a space before the sign it was lost."""
+    parts = StudyParts(fitting.CHOICES, [word])
+    kept = parts.overrides_for_parts("synthesis")
+    assert part_of_setting(word) == "synthesis"
+    assert kept == (word,)
+    assert parts.trees["synthesis"]["cover"] == 1
+
+
+LOWEST = np.float64(-1)
+STEPS = np.array([15, 20, 10])
+NUMPY_SETTINGS = [
+    ([LOWEST], "[-1.0]"),
+    ((LOWEST, None), "[-1.0,null]"),
+    (list(STEPS), "[15,20,10]"),
+    (STEPS, "[15,20,10]"),
+    (np.True_, "true"),
+]
+
+
+@pytest.mark.parametrize(("given", "text"), NUMPY_SETTINGS)
+def test_numbers_of_numpy_within_a_setting_are_read_again(given: object, text: str) -> None:
+    """The command of a design had `[np.float64(-1.0)]`, which Hydra cannot read."""
+    parts = StudyParts(fitting.CHOICES)
+    parts.change_settings("loop", input_lower=given)
+    command = parts.command_overrides()
+    assert f"loop.input_lower={text}" in command
+    loop = parts.trees["loop"]
+    stored = loop["input_lower"]
+    assert "np." not in repr(stored)
+    assert format_setting_value(stored) == text

@@ -21,6 +21,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from ssm_study.data.mcap import SignalGroup, read_mcap, write_mcap
 from ssm_study.data.readers.mcap import McapReader
+from ssm_study.data.readers.reader import read_table
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel
 
@@ -283,8 +284,10 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
         path = tmp_path / f"{claimed}.mcap"
         write_chunk(path, packed, claimed)
         before = largest_memory_kib()
-        with pytest.raises(BadRequest, match=words):
+        with pytest.raises(BadRequest, match=f"^path = .*{words}"):
             read_mcap(path)
+        with pytest.raises(BadRequest, match=rf"^data\.path = .*{words}"):
+            read_table(path, {"u": ""})
         difference = largest_memory_kib() - before
         assert difference < 2**17
 

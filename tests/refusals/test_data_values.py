@@ -98,12 +98,30 @@ def test_a_huge_file_is_refused_before_it_is_read(name: str, tmp_path: Path) -> 
         file.write(head)
         file.truncate(2**33)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    with pytest.raises(BadRequest, match=f"has 8192 MiB, {words}"):
+    with pytest.raises(BadRequest, match=rf"^data\.path = .*: has 8192 MiB, {words}"):
         read_table(path, {"u": "", "y": ""})
     with pytest.raises(BadRequest, match=f"has 8192 MiB, {words}"):
         choose_reader(path).read_all_columns(path)
     difference = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     assert difference < 2**16  # kilobytes
+
+
+def test_a_file_of_one_byte_too_many_has_more_than_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    with path.open("wb") as file:
+        file.write(b"MATLAB 5.0 MAT-file")
+        file.truncate(2**27 + 1)
+    with pytest.raises(BadRequest, match="has 129 MiB, more than the 128 MiB"):
+        read_table(path, {"u": ""})
+
+
+def test_a_huge_recording_of_a_run_is_no_setting_of_the_data(tmp_path: Path) -> None:
+    path = tmp_path / "closed_loop.mcap"
+    with path.open("wb") as file:
+        file.write(MAGIC)
+        file.truncate(2**33)
+    with pytest.raises(BadRequest, match=r"^path = .*: has 8192 MiB"):
+        read_mcap(path)
 
 
 def test_a_huge_file_that_is_no_recording_is_said_to_be_none(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Arguments of the wrong kind are refused in one sentence: each argument of the Python functions
 that need no training, given values of every kind."""
 
+import re
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -198,17 +199,51 @@ def test_a_log_is_looked_at_with_the_right_kinds(
         st.look(path, **settings)
 
 
-@pytest.mark.parametrize("seed", [-1, "a", 1.5, True, 2**32])
+def fit_order_one(**settings: Any) -> None:
+    """Fit a model of one state, with these keywords."""
+    u = FITTED["u"]
+    y = FITTED["y"]
+    st.fit(u, y, 0.1, model="ssm", order=1, **settings)
+
+
+NO_SEEDS = [-1, "a", 1.5, True, 2**32]
+
+
+@pytest.mark.parametrize("seed", NO_SEEDS)
 def test_a_seed_of_a_fit_is_a_whole_number(seed: object) -> None:
-    with pytest.raises(st.BadRequest, match=r"seed = .*: not a whole number from 0 to 2\^32 - 1"):
-        st.fit(FITTED["u"], FITTED["y"], 0.1, model="ssm", order=1, seed=seed)
-
-
-def test_a_setting_of_another_part_is_given_as_a_text() -> None:
-    settings: dict[str, Any] = {"training.max_epochs": 5}
-    words = r'is no setting of the model; give the text "training.max_epochs=5", without a name'
+    words = r"seed = .*: not a whole number from 0 to 2\^32 - 1"
     with pytest.raises(st.BadRequest, match=words):
-        st.fit(FITTED["u"], FITTED["y"], 0.1, model="ssm", order=1, **settings)
+        fit_order_one(seed=seed)
+
+
+EPOCHS = ("training.max_epochs", 5, "training.max_epochs=5")
+NO_DISTURBANCE = ("data.disturbance", None, "data.disturbance=null")
+LOWEST = (np.float64(-1), 2)
+LIMITS = ("loop.input_lower", LOWEST, "loop.input_lower=[-1.0,2]")
+TEXTS_OF_SETTINGS = [EPOCHS, NO_DISTURBANCE, LIMITS]
+
+
+@pytest.mark.parametrize(("name", "value", "text"), TEXTS_OF_SETTINGS)
+def test_a_setting_of_another_part_is_given_as_a_text(name: str, value: object, text: str) -> None:
+    settings: dict[str, Any] = {name: value}
+    override = re.escape(text)
+    words = f'is no setting of the model; write it as "{override}"'
+    of_fit = f"{words} after step_s, not as a keyword"
+    of_estimator = f"{words} in overrides, not in settings"
+    with pytest.raises(st.BadRequest, match=of_fit):
+        fit_order_one(**settings)
+    u = FITTED["u"]
+    y = FITTED["y"]
+    estimator = st.Estimator(step_s=0.1, settings=settings)
+    with pytest.raises(st.BadRequest, match=of_estimator):
+        estimator.fit(u, y)
+
+
+def test_a_setting_of_a_loop_is_given_to_control_as_a_text() -> None:
+    settings: dict[str, Any] = {"loop.horizon_s": 3}
+    words = r'no setting of the synthesis; write it as "loop.horizon_s=3" after the model, not as'
+    with pytest.raises(st.BadRequest, match=words):
+        st.control(SYSTEM, rate=0.2, **settings)
 
 
 NO_SETTINGS = [3, "hidden_width", [1, 2], {1: 2}]

@@ -197,7 +197,7 @@ def parse_mat_file(path: Path) -> dict[str, Value]:
         head = stream.read(len(b"MATLAB 7.3"))
     if head.startswith((b"MATLAB 7.3", b"\x89HDF")):
         return parse_mat_hdf5(path, MOST_BYTES)
-    content = read_whole_file(path, MOST_BYTES, "split it")
+    content = read_whole_file(path, MOST_BYTES, "data.path", "split it")
     _require_intact(len(content) >= 20, "it is too short")
     return dict(_parse_version_4(path) if 0 in content[:4] else _parse_version_5(content))
 

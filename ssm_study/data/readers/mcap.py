@@ -15,7 +15,7 @@ class McapReader(Reader, names=(".mcap",)):
     """Reader of MCAP recordings, which reads numeric fields with their units and log times."""
 
     def read_columns(self, path: Path, names: list[str]) -> Table:
-        groups, _ = read_mcap(path)
+        groups, _ = read_mcap(path, "data.path")
         fields = [
             (group, index, channel)
             for group in groups
@@ -51,7 +51,7 @@ class McapReader(Reader, names=(".mcap",)):
     def read_all_columns(self, path: Path) -> Table:
         """Read every numeric field of all MCAP topics that have the same times as the first
         topic."""
-        groups, _ = read_mcap(path)
+        groups, _ = read_mcap(path, "data.path")
         first = groups[0].time_s
         columns = {}
         units = {}

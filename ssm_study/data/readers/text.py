@@ -113,7 +113,8 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
     def _parse_file(self, path: Path) -> tuple[TextLayout, pa.Table]:
         """Detected layout and parsed cells of a text file, computed once and then cached."""
         if self._parsed is None or self._parsed[0] != path:
-            content = read_whole_file(path, MOST_BYTES, "split it, or convert it to Parquet")
+            remedy = "split it, or convert it to Parquet"
+            content = read_whole_file(path, MOST_BYTES, "data.path", remedy)
             layout = detect_layout(path, content, self.settings)
             self._parsed = (path, layout, parse_rows(path, layout))
         return self._parsed[1:]

@@ -71,12 +71,14 @@ def failure_reason(record: dict[str, Any]) -> str:
 
 
 def shorten_numbers(sentence: str) -> str:
-    """Sentence in which each number has at most four digits, cut towards zero."""
+    """Sentence whose decimal numbers are cut to four digits, but never before the decimal point.
+    Whole numbers and those with an exponent are unchanged."""
     return NUMBER.sub(lambda number: shorten_number(number[0]), sentence)
 
 
 def shorten_number(text: str) -> str:
-    """Text of a number with at most four digits, cut towards zero."""
+    """Text of a decimal number, cut towards zero to four digits, but never before the decimal
+    point; a whole number or one with an exponent is unchanged."""
     digits = re.sub(r"e.*|\D", "", text).lstrip("0")
     if len(digits) <= MOST_DIGITS or "." not in text or "e" in text:
         return text
