@@ -72,8 +72,8 @@ WHOLE_RUNS = {
     "test_verify_omissions",
     "test_wrong_kinds",
 }
-# Two fifths of the processor time: what documents show and how the page looks, choices by training,
-# studies of hard plants. `make test` leaves them out but for README's commands.
+# Two fifths of the processor time: what documents show, how figures and the page look, choices by
+# training, studies of hard plants. `make test` leaves them out but for README's commands.
 LONG = {
     "test_coverage_sampler",
     "test_disturbance_line",
@@ -83,6 +83,8 @@ LONG = {
     "test_engine_slurm",
     "test_evidence_controls",
     "test_log_to_device",
+    "test_report_certificate_figures",
+    "test_report_figures",
     "test_report_page",
     "test_study_integrating",
     "test_study_refine",

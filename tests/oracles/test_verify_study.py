@@ -16,6 +16,7 @@ from ssm_study.study.verify import verify
 from ssm_study.table.gather import CSV, PARQUET, gather, table_file_defects
 
 FAILED_RUN = "failed-run-0"
+pytestmark = pytest.mark.usefixtures("made_once")
 
 
 @pytest.fixture
