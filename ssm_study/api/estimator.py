@@ -7,7 +7,7 @@ from typing import Any
 from ssm_study.api.arguments import Signals, Slopes, Values
 from ssm_study.api.fitting import fit
 from ssm_study.api.model import Model
-from ssm_study.api.parts import format_setting_value, python_value
+from ssm_study.api.parts import refuse_dotted_name
 from ssm_study.refusal import BadRequest, require
 
 
@@ -70,9 +70,7 @@ class Estimator:
         remedy = 'give names and values, as in {"hidden_width": 8}'
         require(is_mapping, "settings", kind, "are no settings by name", remedy)
         for name, value in settings.items():
-            override = f"{name}={format_setting_value(python_value(value))}"
-            remedy = f'write it as "{override}" in overrides, not in settings'
-            require("." not in name, name, value, "is no setting of the model", remedy)
+            refuse_dotted_name("model", name, value, "in overrides, not in settings")
         self.model_ = fit(
             u,
             y,

@@ -276,11 +276,8 @@ class StudyParts:
         unchanged."""
         for name, given in settings.items():
             value = python_value(given)
-            problem = f"is no setting of the {part}"
-            override = f"{name}={format_setting_value(value)}"
             place = OVERRIDES_AFTER.get(part, part)
-            remedy = f'write it as "{override}" after {place}, not as a keyword'
-            require("." not in name, name, value, problem, remedy)
+            refuse_dotted_name(part, name, value, f"after {place}, not as a keyword")
             if value is not None:
                 sign = self._override_prefix(f"{part}.{name}")
                 assign_value(self.trees, f"{part}.{name}", value)
@@ -319,6 +316,14 @@ class StudyParts:
         chosen = [f"{name}={choice}" for name, choice in self.choices.items()]
         numbers = [f"{name}={value}" for name, value in self.numbers.items()]
         return (*chosen, *self.details, *numbers)
+
+
+def refuse_dotted_name(part: str, name: str, value: Any, place: str) -> None:
+    """Raise `BadRequest` if a setting of a part is named by its dotted path, which belongs into an
+    override; `place` says where overrides are given."""
+    override = f"{name}={format_setting_value(python_value(value))}"
+    remedy = f'write it as "{override}" {place}'
+    require("." not in name, name, value, f"is no setting of the {part}", remedy)
 
 
 def python_value(value: Any) -> Any:

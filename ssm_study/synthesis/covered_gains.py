@@ -263,9 +263,9 @@ def has_equal_gains(first: Gains, second: Gains) -> bool:
     """Whether two pairs of controller and observer have equal gain matrices."""
     ones = gain_matrices_by_symbol(first)
     others = gain_matrices_by_symbol(second)
-    return ones.keys() == others.keys() and all(
-        np.array_equal(ones[letter], others[letter]) for letter in ones
-    )
+    if ones.keys() != others.keys():
+        return False
+    return all(np.array_equal(ones[letter], others[letter]) for letter in ones)
 
 
 def is_worth_another_round(coverages: Sequence[float], target_coverage: float, rounds: int) -> bool:
