@@ -29,7 +29,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.loop.design_grid import RandomDesignTable
 from ssm_study.loop.peers.peer import IdentificationResult
 from ssm_study.synthesis.candidates import GainCandidates
-from ssm_study.synthesis.measured_discs_choice import LOST, LoopCoverage
+from ssm_study.synthesis.measured_discs_choice import OVERESTIMATE, LoopCoverage
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate
 from ssm_study.synthesis.sine_judgement import (
     measure_error_with_simulated_sines,
@@ -123,7 +123,7 @@ def rows_of_task(task: GridTask) -> list[dict[str, Any]]:
     for pair, coverage, behaved in zip(pairs, drawn.by_frequency(pairs), behaviour, strict=True):
         row: dict[str, Any] = {"plant": task.plant, "seed": task.seed, "design": behaved["design"]}
         row["coverage_by_frequency"] = coverage
-        is_decided = coverage >= LOST and decided < DECIDED
+        is_decided = coverage >= OVERESTIMATE and decided < DECIDED
         row |= drawn.exact(pair, task.seed) if is_decided else dict.fromkeys(EXACT, "")
         decided += is_decided
         row |= {name: behaved[name] for name in KEPT}
@@ -136,7 +136,7 @@ def summary(path: Path) -> pd.DataFrame:
     ones, and how many of these do not settle."""
     table = pd.read_csv(path)
     settles = table.stable_count_noise_free == 10
-    covered = table.coverage_by_frequency >= LOST
+    covered = table.coverage_by_frequency >= OVERESTIMATE
     table["settle"] = settles
     table["covered"] = covered
     table["covered_lost"] = covered & ~settles

@@ -29,7 +29,7 @@ from ssm_study.synthesis.decay_response import NO_DECAYS, largest_settling_time_
 from ssm_study.synthesis.deployed import certificate_at_largest_rate
 from ssm_study.synthesis.expected_response import FASTER
 from ssm_study.synthesis.integrated_error import relative_response_areas
-from ssm_study.synthesis.measured_discs_choice import LoopCoverage, expected_coverage_loss
+from ssm_study.synthesis.measured_discs_choice import LoopCoverage, coverage_overestimate_factor
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
 from ssm_study.systems import Gains, JacobianBalls
 
@@ -94,7 +94,7 @@ class GainSearch:
         target. Where it ends between target and aim, the proof is tried nevertheless; where a proof
         keeps too little, the search goes on for as much more, and ends if it finds nothing better.
         """
-        wanted_coverage = expected_coverage_loss(self.model) * target_coverage
+        wanted_coverage = coverage_overestimate_factor(self.model) * target_coverage
         proved_gains: Gains | None = None
         certificates = 1 if self.is_brief else CERTIFICATES
         for _ in range(certificates):
@@ -174,7 +174,7 @@ class GainSearch:
             return is_worth_another_round(coverages, aimed_coverage, rounds)
         if len(coverages) <= rounds:
             return coverages[-1] < aimed_coverage
-        least_coverage = aimed_coverage / expected_coverage_loss(self.model)
+        least_coverage = aimed_coverage / coverage_overestimate_factor(self.model)
         return is_worth_another_round(coverages, least_coverage, rounds)
 
     def _score_proposals(

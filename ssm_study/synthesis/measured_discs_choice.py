@@ -28,8 +28,8 @@ LOOKED_AT = (0, 1, 2, 4, 7, 11, 16, 23, 32, 45, 60, 85, 120, 170, 240, 320)  # o
 WITH_NEURONS = (0, 3, 10, 25)  # each takes a second
 FARTHER = (60, 120, 240)  # also, with neurons, where a coverage is asked for
 NEAR = 60  # gains are searched around pairs up to here before farther ones are looked at
-LOST = 1.02  # kappa by frequency over that of the certificate, at most (as a rule)
-LOST_WITH_NEURONS = 1.03  # their larger programs are solved less exactly
+OVERESTIMATE = 1.02  # coverage by frequency over the proved one, at most (as a rule)
+OVERESTIMATE_WITH_NEURONS = 1.03  # their larger programs are solved less exactly
 COVERED = "best expected response of those predicted to be stable and covered"
 SEARCHED = "gains searched around the grid's, predicted to be stable and covered"
 NOT_COVERED = (
@@ -62,10 +62,14 @@ def choose_covering_design(
     places: tuple[int, ...] = LOOKED_AT
     if isinstance(model.system, StructuredSystem):
         places = WITH_NEURONS if requested_coverage is None else WITH_NEURONS + FARTHER
-    lost = expected_coverage_loss(model)
-    target = lost * (1.0 if requested_coverage is None else requested_coverage)
+    overestimate = coverage_overestimate_factor(model)
+    target = overestimate * (1.0 if requested_coverage is None else requested_coverage)
     walk = GainPairSearch(
-        pairs=iter(enumerate(pairs)), make=make_design, places=places, lost=lost, target=target
+        pairs=iter(enumerate(pairs)),
+        make=make_design,
+        places=places,
+        overestimate=overestimate,
+        target=target,
     )
     first = walk.first_certified_design()
     sought = premise is not None and seeks_coverage(model, requested_coverage, premise)
@@ -88,7 +92,7 @@ def choose_covering_design(
     covered = walk.first_covered_design(compute_coverage, NEAR)
     if covered is not None:
         return covered, COVERED
-    wanted_coverage = target / lost
+    wanted_coverage = target / overestimate
     substitute = walk.search_near_best_design(search, wanted_coverage)
     if substitute is not None:
         return substitute, SEARCHED
@@ -99,10 +103,10 @@ def choose_covering_design(
     return (covered, COVERED) if substitute is None else (substitute, SEARCHED)
 
 
-def expected_coverage_loss(model: Model) -> float:
-    """Factor to expect between the ratio of tolerated to recorded model error as computed
-    frequency by frequency and as proved afterwards: most proofs lose no more."""
-    return LOST_WITH_NEURONS if isinstance(model.system, StructuredSystem) else LOST
+def coverage_overestimate_factor(model: Model) -> float:
+    """Factor by which the coverage computed frequency by frequency exceeds the proved one, as a
+    rule at most. Both are ratios of tolerated to recorded model error."""
+    return OVERESTIMATE_WITH_NEURONS if isinstance(model.system, StructuredSystem) else OVERESTIMATE
 
 
 @dataclass(kw_only=True)
@@ -111,13 +115,14 @@ class GainPairSearch:
     tolerates the recorded model error.
 
     Kept are the first design, the first that is covered `barely`, and the one with the `largest`
-    coverage, `most`. `lost` is the loss of a proof.
+    coverage, `most`. `overestimate` is the factor by which a coverage computed frequency by
+    frequency may exceed the proved one.
     """
 
     pairs: Iterator[tuple[int, Any]]
     make: Make
     places: tuple[int, ...]
-    lost: float
+    overestimate: float
     target: float
     first: Design | None = None
     barely: Design | None = None
@@ -168,7 +173,7 @@ class GainPairSearch:
     def _add_design(self, design: Design, coverage: float) -> None:
         """Store a design if its coverage (ratio of tolerated to recorded model error) is the
         largest so far or the first sufficient one."""
-        if self.barely is None and coverage >= self.lost:
+        if self.barely is None and coverage >= self.overestimate:
             self.barely = design
         if self.most is None or coverage > self.largest:
             self.most = design

@@ -16,9 +16,9 @@ from ssm_study.robustness.mismatch import measure_model_error
 from ssm_study.synthesis.covered_gains import GainSearch, is_worth_another_round
 from ssm_study.synthesis.measured_discs_choice import (
     COVERED,
-    LOST,
     NEAR,
     NOT_COVERED,
+    OVERESTIMATE,
     SEARCHED,
     choose_covering_design,
     tolerated_disc_radius,
@@ -100,7 +100,7 @@ def test_covered_gains_are_made_faster_and_stay_covered(search, coverage_of_grid
 def test_the_choice_searches_only_where_the_grid_does_not_cover(
     monkeypatch, share_of_coverage, cover, searches
 ) -> None:
-    coverage = share_of_coverage * LOST
+    coverage = share_of_coverage * OVERESTIMATE
     monkeypatch.setattr(
         "ssm_study.synthesis.measured_discs_choice.tolerated_disc_radius", lambda *_: coverage
     )
@@ -127,7 +127,7 @@ def test_a_covered_pair_from_far_down_the_order_is_made_faster(monkeypatch, sear
     slow = design(input_weight=1.0)
     monkeypatch.setattr(
         "ssm_study.synthesis.measured_discs_choice.tolerated_disc_radius",
-        lambda one, *_: 1.1 * LOST if one is slow else 0.5,
+        lambda one, *_: 1.1 * OVERESTIMATE if one is slow else 0.5,
     )
     found = design(input_weight=0.1)
     asked = []
@@ -147,7 +147,8 @@ def test_a_covered_pair_from_far_down_the_order_is_made_faster(monkeypatch, sear
 
 def test_a_search_without_a_design_leaves_the_first(monkeypatch) -> None:
     monkeypatch.setattr(
-        "ssm_study.synthesis.measured_discs_choice.tolerated_disc_radius", lambda *_: 0.9 * LOST
+        "ssm_study.synthesis.measured_discs_choice.tolerated_disc_radius",
+        lambda *_: 0.9 * OVERESTIMATE,
     )
     pairs = iter([FAST])
     chosen = choose_covering_design(
@@ -182,7 +183,9 @@ def test_a_brief_search_goes_on_beyond_its_planned_rounds_to_its_target(
 ) -> None:
     brief = replace(search, is_brief=True)
     target = 1.22 * coverage_of_grid  # two rounds reach 1.21, four 1.23
-    found = brief.search_best_gains(FAST, LOST * target, rounds=2, largest_area=AREA_TOO_LARGE)
+    found = brief.search_best_gains(
+        FAST, OVERESTIMATE * target, rounds=2, largest_area=AREA_TOO_LARGE
+    )
     assert found.coverage >= target
 
 
