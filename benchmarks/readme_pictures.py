@@ -132,7 +132,8 @@ def _record(axes: Axes, validation: RecordedCases, record: dict[str, Any]) -> No
         ("simulated", {"color": style.VERMILLION}),
     ):
         axes.plot(time_s[shown], validation[name][0, shown, 0], label=name, **look)
-    title = f"1  Record and free run\nfit {record['fit_test_percent']:.1f} % on the test record"
+    fit = f"fit {record['fit_test_percent']:.1f} % on the test record"
+    title = f"1  Validation record and free run\n{fit}"
     axes.set(title=title, xlabel="Time (s)", ylabel=validation.label("measured"))
 
 

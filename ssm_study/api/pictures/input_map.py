@@ -38,12 +38,12 @@ def input_map_picture(model: Model, slopes: JacobianBall, input_label: str) -> P
     map_curve = Series(x=physical, y=values)
     series = (map_curve,)
     left = PicturePanel(
-        x_label=input_label, y_label="S_u (scaled units, –)", series=series, height=1.3
+        x_label=input_label, y_label="S$_u$ (scaled units, –)", series=series, height=1.3
     )
     slope_curve = Series(x=physical, y=local, mark="steps", name="learned")
     right = PicturePanel(
         x_label=input_label,
-        y_label="Local slope of S_u (–)",
+        y_label="Local slope of S$_u$ (scaled units, –)",
         series=(slope_curve,),
         bands=(band,),
         y_range=_slope_axis_range(slopes, local),

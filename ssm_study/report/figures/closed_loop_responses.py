@@ -1,6 +1,7 @@
 """Closed loop from every initial condition (left), the same starts without control (middle), and
 the controller's input (right). The loop is closed on the true plant, or on the identified model
-where there is none. A response has settled when it stays in the grey band."""
+where there is none. Each colour is one initial condition. A response has settled when it stays in
+the grey band."""
 
 import matplotlib as mpl
 import numpy as np

@@ -1,7 +1,7 @@
 """Model error that the proof tolerates, as a multiple of the measured one, in each frequency band.
 There is one line for each record. Where a line falls below one, the proof does not cover the
 record. A line ends where its record shows no error beyond noise. Sums over several bands must be
-covered too: one of them can decide, and it is not drawn."""
+covered, too. If one of them decides, as "in total" in the title says, it is not drawn."""
 
 from matplotlib.figure import Figure
 

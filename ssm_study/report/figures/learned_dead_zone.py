@@ -1,7 +1,8 @@
 """Input map S_u that the model learned (left) and its slope at each input (right). The certificate
 holds for every map whose slopes lie in the shaded interval. For the simulated motor, the dashed
-lines are the true dead zone and its slope, and S_u is scaled to them. At standstill friction widens
-the dead zone, as the dotted line shows."""
+lines are the true dead zone and its slope. The records determine S_u only up to a factor; on the
+left it has the factor that fits the dead zone best. At standstill friction widens the dead zone, as
+the dotted line shows."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,7 +16,7 @@ from ssm_study import style
 from ssm_study.models.identified import SSM
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
 
-# how far to draw: far enough for the straight part, near enough to see the dead-zone
+# how far to draw: far enough for the straight part, near enough to see the dead zone
 REACH_IN_DEAD_ZONES = 8
 # how far training reached, in input scales: where the gain is compared, and drawn otherwise
 REACH_IN_SCALES = 2.0
@@ -50,15 +51,17 @@ def draw(study: StudyFolder) -> Figure:
     _draw_slopes(slope, model, voltage, record)
     if threshold is not None:
         value.plot(
-            voltage, _apply_dead_zone(voltage, threshold), label="true dead-zone", **TRUE_LINE
+            voltage, _apply_dead_zone(voltage, threshold), label="true dead zone", **TRUE_LINE
         )
         true_slope = np.where(np.abs(voltage) < threshold, 0.0, scale / gain)
-        slope.step(voltage, true_slope, where="mid", label="dead-zone", **TRUE_LINE)
+        slope.step(voltage, true_slope, where="mid", label="true dead zone", **TRUE_LINE)
         sentence = _dead_zone_sentence(model, voltage, threshold)
         fig.suptitle(sentence, size=8, x=0.01, ha="left")
         if friction_v:
             widened = _apply_dead_zone(voltage, threshold + friction_v)
-            value.plot(voltage, widened, color=style.GREY, lw=0.9, ls=":", label="with friction")
+            value.plot(
+                voltage, widened, color=style.GREY, lw=0.9, ls=":", label="true, at standstill"
+            )
     _label_axes(value, slope, threshold is not None)
     return fig
 
@@ -109,13 +112,13 @@ def _dead_zone_sentence(model: SSM, voltage: Range, threshold: float) -> str:
     is_inside = np.abs(middles) < threshold
     share = float(rise[is_inside].mean() / rise[~is_inside].mean())
     if share < FLAT:
-        learned = "a dead-zone"
+        learned = "a dead zone"
     elif share < STEEP:
-        learned = "no dead-zone, only a flatter middle"
+        learned = "no dead zone, only a flatter middle"
     else:
-        learned = "no dead-zone"
+        learned = "no dead zone"
     percent = f"{100 * share:.0f} %"
-    return f"Learned: {learned}. Inside the true one the slope is {percent} of that outside."
+    return f"Learned: {learned}. Mean slope inside the true dead zone: {percent} of that outside."
 
 
 def _dead_zone_scale_factor(model: SSM, threshold: float) -> float:

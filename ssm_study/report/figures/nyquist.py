@@ -1,7 +1,7 @@
 """Nyquist curve of the loop broken at the plant's input, with discs of the measured model error.
-The slopes are those at rest. The discs belong to the amplitude that comes nearest to -1. Each lies
-where the record puts its frequency band, beside the curve where the error has a steady part. If a
-disc contains -1, the records do not exclude an unstable loop."""
+The slopes are those at rest. Each disc holds the error in one frequency band, at the amplitude
+whose discs come nearest to -1. Its centre lies off the curve where a part of the error has a steady
+phase. If a disc contains -1, the records do not exclude an unstable loop."""
 
 from matplotlib.figure import Figure
 

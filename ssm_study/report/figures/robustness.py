@@ -1,7 +1,7 @@
 """Mean settling time (s) of each controller in situations that it was not designed for. The colour
-is its ratio to the uncontrolled plant in the nominal situation: pale is as slow as no control. Red
-with a share means that only this share of the starts settles. Each number is the mean over the runs
-that compared them."""
+is its ratio to the uncontrolled plant in the nominal situation: the palest is as slow as no
+control, or slower. Orange with a share means that only this share of the starts settles. Each
+number is the mean over the runs that compared the controllers."""
 
 from typing import Any
 

@@ -1,8 +1,8 @@
 """Step of the set point on the identified model, without noise: output (top) and input (bottom).
 The settling band is shaded, set point and range of the recorded inputs are dashed. The step is half
 the output's scale, or smaller if the recorded inputs cannot hold it. Where the title calls it known
-in advance, the input moves before the step. The exported code hears of a step when it comes, and
-answers later."""
+in advance, the input moves before the step. The exported code learns of a step when it comes, and
+so answers later."""
 
 from matplotlib.figure import Figure
 
