@@ -74,6 +74,15 @@ def test_every_excitation_identifies_order_eight(name: str) -> None:
     assert persistency_order(u) >= 17
 
 
+@pytest.mark.parametrize(("samples", "inputs", "order"), [(11, 1, 6), (20, 2, 7)])
+def test_a_short_record_excites_as_many_rows_as_it_has_columns(
+    samples: int, inputs: int, order: int
+) -> None:
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal((samples, inputs))
+    assert persistency_order(u) == order
+
+
 def test_levels_are_held_for_the_clock() -> None:
     u = make_signal("prbs", REQUEST)
     differences = np.diff(u[:, 0])

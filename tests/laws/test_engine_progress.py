@@ -1,5 +1,6 @@
 """One line says how far a sweep is, whoever runs it."""
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,15 @@ def test_the_line_counts_and_foresees(capsys: pytest.CaptureFixture[str]) -> Non
             == "4/10 runs: 2 ok, 1 infeasible, 1 failed; 1 there before; 2 running; 1:00 left"
         )
     assert "4/10 runs" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_one_line_changes_on_a_terminal_alone(
+    monkeypatch: pytest.MonkeyPatch, is_terminal: bool
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: is_terminal)
+    changing_line = Progress(total=1).live
+    assert (changing_line is not None) is is_terminal
 
 
 def test_a_watch_reads_the_run_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,6 +14,7 @@ from ssm_study.models.initial_system import (
     draw_stable_system,
     estimate_initial_system,
     output_regression_coefficient,
+    realise_impulse_response,
 )
 from ssm_study.models.torch_ssm import LRU
 
@@ -350,3 +351,15 @@ def test_a_start_is_nearer_to_its_records_than_no_model(
         without_model = np.linalg.norm(training_y)
         assert remaining_error <= without_model * (1 + 1e-9)
         assert output_regression_coefficient(start, records) >= 0.5
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_modes_that_a_response_does_not_show_are_forgotten_within_samples(seed: int) -> None:
+    powers = 0.8 ** np.arange(40.0)
+    h = powers[:, None, None]
+    rng = np.random.default_rng(seed)
+    system = realise_impulse_response(h, 6, rng)
+    poles = np.linalg.eigvals(system.a)
+    sizes = np.sort(abs(poles))
+    assert sizes[-1] == pytest.approx(0.8, abs=1e-4)
+    assert sizes[-2] <= 0.4

@@ -6,7 +6,12 @@ import report_tables
 import scipy
 
 from ssm_study.report.answers import question_answers, swept_settings_line
-from ssm_study.report.page.charts import scatter_plot_contents, unplotted_answers
+from ssm_study.report.page.charts import (
+    RATE_COSTS,
+    scatter_plot_contents,
+    scatter_plot_specification,
+    unplotted_answers,
+)
 from ssm_study.report.page.data import comparable_columns, page_title
 from ssm_study.report.page.failures import shorten_numbers
 from ssm_study.table.alike_sentences import merge_number_ranges
@@ -105,6 +110,16 @@ def test_an_answer_stands_once_with_its_plot_or_in_words_where_it_has_none() -> 
     assert unplotted_answers(one, question_answers(one)) == question_answers(one), (
         "a single run has no plots"
     )
+
+
+@pytest.mark.parametrize(("largest", "kind"), [(9.9, None), (10.1, "log")])
+def test_an_axis_over_more_than_a_decade_is_logarithmic(largest: float, kind: str | None) -> None:
+    gains = {"rate_controller": [0.1, 0.2], "controller_gain_norm": [1.0, largest]}
+    table = pd.DataFrame(gains)
+    spec = scatter_plot_specification(RATE_COSTS, table)
+    scales = [layer["encoding"]["y"]["scale"] for layer in spec["layer"]]
+    kinds = {scale.get("type") for scale in scales}
+    assert kinds == {kind}
 
 
 def test_numbers_in_total_leave_the_page_where_one_by_frequency_decides() -> None:

@@ -3,6 +3,7 @@ that a broadband record dithers away refutes a prediction."""
 
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -95,12 +96,16 @@ def test_a_sine_shows_the_gain_of_its_line(line: int) -> None:
     assert exact * 0.999 < measured.gain < upper_limit
 
 
-def gains_of_small_sines(share: float) -> np.ndarray:
-    """Measured gains of forty small sines of one line, each with its noise."""
+@cache
+def small_sines(share: float) -> list[SineMismatch]:
+    """Forty small sines of one line measured, each with its noise."""
     answer = scaled_model(share)
     trials = [sine(answer, 43, 0.01, 1e-3, seed) for seed in range(40)]
-    measured = measure_sines(*trials)
-    return np.array([trial.gain for trial in measured])
+    return measure_sines(*trials)
+
+
+def gains_of_small_sines(share: float) -> np.ndarray:
+    return np.array([trial.gain for trial in small_sines(share)])
 
 
 def test_what_noise_hides_is_not_zero() -> None:
@@ -115,6 +120,16 @@ def test_what_noise_hides_is_not_zero() -> None:
     is_above = limits > error_gain(43)
     mean = np.mean(is_above)
     assert mean > 0.9
+
+
+@pytest.mark.parametrize("share", [0.0, SHARE])
+def test_a_limit_lies_two_standard_errors_above_what_repeats(share: float) -> None:
+    measured = small_sines(share)
+    powers = np.array([trial.error_power for trial in measured])
+    limits = np.array([trial.gain**2 for trial in measured])
+    repeats = np.maximum(powers, 0.0)
+    stated = np.median(limits - repeats) / 2
+    assert powers.std() == pytest.approx(stated, rel=0.3)
 
 
 def test_a_sine_that_shows_more_than_the_records_refutes_the_prediction() -> None:

@@ -265,9 +265,9 @@ def test_the_table_of_bands_is_the_premise_beside_the_proof() -> None:
         expected = row.need / part.kappa
         ratio = row.measured / row.proved_radius
         assert ratio == pytest.approx(expected)
-    decisive = [row for row in rows if row.decides]
-    assert decisive
     largest = max(row.need for row in rows)
+    decisive = [row for row in rows if row.need == largest]
+    assert decisive == [row for row in rows if row.decides]
     items = known.requirements(part.centre)
     upper_limit, _ = weights.largest_required_radius(items)
     assert largest <= upper_limit

@@ -199,6 +199,12 @@ def test_a_slow_lag_is_no_integrator(lag_samples: int) -> None:
     assert explained_output_variance(u, running_sum).is_integrator
 
 
+def test_in_a_log_shorter_than_every_window_nothing_is_explained() -> None:
+    u = np.arange(5.0)
+    shares = explained_output_variance(u, u)
+    assert (shares.level, shares.change, shares.lost) == (0.0, 0.0, 1.0)
+
+
 def test_a_slow_answer_is_seen_in_coarser_steps() -> None:
     rng = np.random.default_rng(2)
     u = np.repeat(rng.uniform(-1, 1, 100), 80)

@@ -7,9 +7,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from ssm_study.data.calendar_numbers import parse_calendar_numbers
 from ssm_study.data.look import look
 from ssm_study.data.recorded import RecordedData
 from ssm_study.data.rounded_times import estimate_period_s, period_bounds_s, resolution_of_times
+from ssm_study.data.scattered_times import find_scattered_clock
 from ssm_study.refusal import BadRequest
 
 
@@ -130,3 +132,26 @@ def test_a_space_between_date_and_time_is_no_separator(tmp_path: Path) -> None:
         pieces, _ = recorded_data.read_pieces(path)
         assert pieces[0].step_s == 60.0
         assert len(pieces[0]) == 90
+
+
+@pytest.mark.parametrize("unit_s", [1e-3, 1.0, 1e3])
+def test_scatter_is_told_from_wander_in_every_unit(unit_s: float) -> None:
+    rng = np.random.default_rng(0)
+    white = rng.standard_normal(400)
+    scatter = 0.05 * white
+    rows = np.arange(400.0)
+    clock = find_scattered_clock(unit_s * (rows + scatter), [(0, 400)])
+    assert clock is not None
+    assert clock.period_s == pytest.approx(unit_s)
+    running_mean = np.full(5, 0.2)
+    wander = np.convolve(scatter, running_mean, "same")
+    assert find_scattered_clock(unit_s * (rows + wander), [(0, 400)]) is None
+
+
+@pytest.mark.parametrize("unit_s", [1e-3, 1e-6, 1e-9])
+def test_numbers_since_1970_are_read_in_their_unit(unit_s: float) -> None:
+    seconds = np.arange(5.0)
+    numbers = (1.7e9 + seconds) / unit_s
+    found = parse_calendar_numbers("clock", numbers)
+    assert found is not None
+    np.testing.assert_allclose(found[0], seconds, atol=1e-6)

@@ -79,9 +79,8 @@ def test_a_random_disturbance_holds_and_repeats() -> None:
     differences = np.diff(indices)
     is_a_multiple = differences % 5 == 0
     assert is_a_multiple.all()
-    sizes = np.abs(d)
-    largest = sizes.max()
-    assert 1.5 < largest <= 2.0
+    assert -2.0 <= d.min() < -1.5
+    assert 1.5 < d.max() <= 2.0
     expected = disturbance.signal(time_s)
     np.testing.assert_array_equal(d, expected)
 

@@ -17,10 +17,11 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.cli.main import main
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.robustness.mismatch import measure_model_error
+from ssm_study.signals import Trajectory
 from ssm_study.study.claims import SECTIONS
 from ssm_study.study.file_claims import check_files
 from ssm_study.study.findings import CheckedClaim, DerivedColumns, UnconfirmableSettings
-from ssm_study.study.recordings import read_free_runs
+from ssm_study.study.recordings import read_free_runs, record_signal_pairs
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import Verification, _short_text, compare_column, judge_column, verify
 from ssm_study.synthesis.metrics import design_columns
@@ -297,6 +298,12 @@ def test_a_record_without_status_or_with_a_broken_seal(
     assert failing(copied_run) == {"record.json"}
     (copied_run / "record.json").write_text("{}")
     assert failing(copied_run) == {"record.json"}
+
+
+def test_a_record_that_is_lost_is_a_pair_that_differs() -> None:
+    signal = np.zeros((3, 1))
+    record = Trajectory(u=signal, y=signal, step_s=0.1, name="a")
+    assert record_signal_pairs([record], []) == {"records": (1, 0)}
 
 
 def test_a_file_that_the_manifest_does_not_know_is_named(copied_run: Path) -> None:

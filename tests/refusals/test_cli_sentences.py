@@ -1,5 +1,6 @@
 """Requests that were accepted, or answered with a traceback, are answered with one sentence."""
 
+import errno
 import sys
 import tomllib
 from datetime import timedelta
@@ -14,6 +15,7 @@ from ssm_study.api.fitting import convert_to_seconds
 from ssm_study.api.linearisation import import_python_control
 from ssm_study.api.parts import format_setting_value
 from ssm_study.cli.main import WRONG_REQUEST, main
+from ssm_study.cli.run import run
 from ssm_study.data.arrays import index_period_s
 from ssm_study.data.plain_names import plain_name
 from ssm_study.refusal import BadRequest
@@ -149,6 +151,17 @@ def test_an_error_that_nobody_foresaw_asks_for_a_report(
     answer = capsys.readouterr().err
     assert "Unexpected error (a bug in ssm-study, please report it): ZeroDivisionError" in answer
     assert answer.count("\n") == 1
+
+
+def test_a_disk_that_fills_during_a_run_is_blamed_on_the_results_folder(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fill(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("ssm_study.cli.run.execute_request", fill)
+    with pytest.raises(BadRequest, match="results_dir = full: No space left on device"):
+        run(["experiment=smoke", "results_dir=full"])
 
 
 def test_the_systems_that_it_runs_on_are_named_alike_everywhere() -> None:
