@@ -14,6 +14,7 @@ discs".
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
@@ -25,6 +26,7 @@ from jaxtyping import Complex, Float
 from ssm_study.certificates.problem import NoSolution
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
+from ssm_study.synthesis.interior_point import HermitianProgram
 
 Angles = Float[np.ndarray, "F"]
 Unknowns = Float[np.ndarray, "n"]
@@ -42,6 +44,7 @@ ROUNDS = 12
 VIOLATED = 1e-9  # a smallest eigenvalue below minus this, where |e|^2 counts one, violates
 SOLVED = 1e-7  # by the solver, where angles may miss by more
 IDLE = 0.1  # a smallest eigenvalue above this decides nothing
+SMALL = 4  # matrices up to this size are left to Clarabel, which is as fast there
 MOST = 1e8  # of a multiplier, in units where its form is of the size of |e|^2
 Forms = Complex[np.ndarray, "A F G G"]
 
@@ -293,11 +296,7 @@ class FrequencyProgram:
         solver_accuracy = SOLVED if accuracy > SOLVED else VIOLATED
         x = np.zeros(len(goal))
         for _ in range(ROUNDS):
-            program = ConeProgram(unknowns=len(goal))
-            program.add_rows(self.rows, self.bounds)
-            for k in chosen:
-                program.add_semidefinite(self.constant[k], self.linear[:, k])
-            x = program.minimise(-goal, solver_accuracy)
+            x = self._maximise_at(chosen, goal, solver_accuracy)
             if goal @ x < least_goal:
                 return x, chosen
             lowest = self.smallest_eigenvalues(x)
@@ -308,6 +307,23 @@ class FrequencyProgram:
             deciding = [k for k in chosen if lowest[k] < IDLE]
             chosen = deciding + fresh[:MORE]
         return x, chosen
+
+    def _maximise_at(self, chosen: Sequence[int], goal: Unknowns, accuracy: float) -> Unknowns:
+        """Maximise a linear goal under the matrix constraints at some frequencies. Raises
+        `NoSolution`."""
+        constant = self.constant[chosen]
+        linear = self.linear[:, chosen]
+        if constant.shape[-1] > SMALL:
+            program = HermitianProgram(
+                goal=goal, constant=constant, linear=linear, rows=self.rows, bounds=self.bounds
+            )
+            with suppress(NoSolution):  # else Clarabel, which takes longer
+                return program.maximise(accuracy)[0]
+        cones = ConeProgram(unknowns=len(goal))
+        cones.add_rows(self.rows, self.bounds)
+        for k in range(len(chosen)):
+            cones.add_semidefinite(constant[k], linear[:, k])
+        return cones.minimise(-goal, accuracy)
 
 
 def _evenly_spread_indices(item_count: int, chosen_count: int) -> list[int]:
