@@ -12,11 +12,10 @@ MOST_VALUES = 100_000  # in a configuration: a real one has 200
 
 
 def read_stored_yaml(path: Path) -> str:
-    """Read the text of a YAML file in a results folder. Raises `BadRequest` for one whose aliases
-    would expand beyond all bounds, since it may have been altered.
+    """Read the text of a YAML file in a results folder.
 
-    Raises `BadRequest` for text that is no YAML, and before anything is made of one that stands
-    for more than itself: 500 bytes of aliases, or of interpolations, can fill any memory.
+    Raises `BadRequest` for text that is no YAML, and for one with interpolations or very many
+    aliases, before they are expanded: 500 bytes of them can fill any memory.
     """
     field = "/".join(path.parts[-2:])
     remedy = "run the study again"

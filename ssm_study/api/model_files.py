@@ -89,8 +89,7 @@ def content_digest(content: dict[str, Any]) -> str:
 def require_unmodified_files(folder: Path, content: dict[str, Any]) -> None:
     """Raise `BadRequest` if a file of a saved model was changed since it was written.
 
-    A model without seal, saved by an earlier version, is read with a warning. Raises `BadRequest`
-    for a file that was altered.
+    A model without check sums, saved by an earlier version, is read with a warning.
     """
     if "sha256" not in content and "files" not in content:
         message = f"{folder} has no seal (saved by an earlier version), so nobody would notice "

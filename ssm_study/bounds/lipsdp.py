@@ -67,8 +67,7 @@ def lipsdp_ball(
 
 
 def _solve_program(problem: cp.Problem) -> None:
-    """Solve a semidefinite program, and raise `BadRequest` if the solver fails. Raises `BadRequest`
-    if the solver fails."""
+    """Solve a semidefinite program, and raise `BadRequest` if the solver fails."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -132,7 +132,7 @@ def signal_array_and_names(
     if isinstance(values, pd.DataFrame) and columns is not None:
         values = select_columns(values, name, columns)
     table = as_real_matrix(values, name)
-    problem = f"needs one column per channel: {channels}"
+    problem = f"needs {channels} column{'' if channels == 1 else 's'}, one per channel"
     remedy = "give the channels that the model was fitted to"
     channel_count = table.shape[1]
     fits = channels in (None, channel_count)

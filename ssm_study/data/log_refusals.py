@@ -34,6 +34,6 @@ def missing_values_error(
     shares = [
         f"{channel.name} {share:.0%}" for channel, share in zip(channels, missing, strict=True)
     ]
-    problem = f"no three rows in a row have all their values; missing: {', '.join(shares)}"
+    problem = f"no three successive rows have all their values; missing: {', '.join(shares)}"
     remedy = "fill in what is held between its changes, or name other columns"
     return BadRequest(path.name, "missing values", problem, remedy)

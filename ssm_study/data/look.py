@@ -342,7 +342,7 @@ def possible_disturbance_sentences(names: Sequence[str]) -> list[str]:
 def clock_sentences(table: Table, clock: str | None) -> list[str]:
     """Sentences on the time column and the sampling period of a log."""
     if clock is None or clock not in table.columns:
-        return ["no clock found: give data.step_s in seconds, or name the column data.time"]
+        return ["no clock found: set data.step_s (seconds), or data.time (the column of times)"]
     if has_row_number_column(table):
         return []
     time_s, words = clock_column_seconds(clock, table)

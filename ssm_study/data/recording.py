@@ -212,7 +212,7 @@ class ColumnSettings:
             period_s = stated_s if self.step_s is None else self.step_s
             if period_s is None:
                 problem = "the sampling time is unknown" + unreadable_clock_sentence(remarks)
-                remedy = "give it, or name the column data.time"
+                remedy = "give it in seconds, or set data.time to the column of times"
                 raise BadRequest("data.step_s", None, problem, remedy)
             if stated_s is not None:
                 require_equal_period(self.step_s, stated_s, path.name)

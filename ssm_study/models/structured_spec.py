@@ -338,4 +338,4 @@ class StructuredSpec(ModelSpec):
 
     def build(self, data: Any, seed: int) -> Any:  # noqa: ARG002
         """Raise an error, because a structured model is trained without torch."""
-        raise TypeError("it has a training of its own")
+        raise TypeError("this model has a training of its own, without torch")

@@ -60,7 +60,7 @@ class CascadedTanks(Plant):
     def __post_init__(self) -> None:
         refuse_wrong_signs(self, not_negative=("level_noise_variance", "spill_share"))
         share = self.spill_share
-        remedy = "use 0 if nothing falls into the lower"
+        remedy = "use 0 if nothing falls into the lower tank"
         require(share <= 1, "spill_share", share, "a share lies in [0, 1]", remedy)
         stays = (self.equilibrium().x < self.brim_v).all()
         require(stays, "rest_pump_v", self.rest_pump_v, "the tanks overflow at rest", "lower it")

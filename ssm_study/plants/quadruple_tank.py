@@ -72,7 +72,7 @@ class QuadrupleTank(Plant):
             require(len(values) == count, name, values, problem, "give one per tank or pump")
         shares = self.share_below
         are_shares = len(shares) == 2 and max(shares) < 1
-        require(are_shares, "share_below", shares, "not in (0, 1)", "use 0.6")
+        require(are_shares, "share_below", shares, "must be two shares below 1", "use 0.6")
         refuse_wrong_signs(self, not_negative=("level_noise_variance",))
 
     def equilibrium(self) -> Equilibrium:

@@ -20,8 +20,8 @@ class RunFacts:
     """Sampling time, units and set points of a run, for the text on its outcome.
 
     `no_set_points_reason` is why the exported code follows no set points, empty if it does. A unit
-    follows a space; it is empty where there are several channels, or none is stated. `own_theorems`
-    are the names of the certificates' theorems by side where they come from an extension package.
+    begins with a space; it is empty for several channels, and where no unit is stated.
+    `own_theorems` has, by side, the name of a theorem that comes from an extension package.
     """
 
     step_s: float | None = None

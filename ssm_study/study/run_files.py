@@ -262,11 +262,7 @@ class RunFiles:
 
 def refuse_repeated_keys(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Build a dictionary from the keys and values of a JSON object, and raise `BadRequest` for a
-    repeated key.
-
-    Raises `BadRequest` where a key stands twice, for one reader takes the first and another the
-    last.
-    """
+    repeated key, of which one reader takes the first value and another the last."""
     keys = [key for key, _ in pairs]
     twice = next((key for key in keys if keys.count(key) > 1), None)
     require(twice is None, file, twice, "appears twice in one object", "run the study again")

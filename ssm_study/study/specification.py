@@ -151,7 +151,8 @@ class Specification:
         shapes = ((), equilibrium_input.shape)
         fits = lower.shape in shapes and upper.shape in shapes
         owner = "plant" if self.plant else "log"
-        problem = f"the {owner}'s inputs number {len(equilibrium_input)}"
+        count = len(equilibrium_input)
+        problem = f"the {owner} has {count} input{'' if count == 1 else 's'}"
         require(fits, names, values, problem, "give one number, or one for each")
         is_inside = bool(np.all((lower <= equilibrium_input) & (equilibrium_input <= upper)))
         first_reference = self.loop.reference.signal(np.zeros(1)) if self.plant is None else None

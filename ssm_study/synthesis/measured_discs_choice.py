@@ -62,14 +62,10 @@ def choose_covering_design(
     places: tuple[int, ...] = LOOKED_AT
     if isinstance(model.system, StructuredSystem):
         places = WITH_NEURONS if requested_coverage is None else WITH_NEURONS + FARTHER
-    overestimate = coverage_overestimate_factor(model)
-    target = overestimate * (1.0 if requested_coverage is None else requested_coverage)
+    excess = coverage_overestimate_factor(model)
+    target = excess * (1.0 if requested_coverage is None else requested_coverage)
     walk = GainPairSearch(
-        pairs=iter(enumerate(pairs)),
-        make=make_design,
-        places=places,
-        overestimate=overestimate,
-        target=target,
+        pairs=iter(enumerate(pairs)), make=make_design, places=places, excess=excess, target=target
     )
     first = walk.first_certified_design()
     sought = premise is not None and seeks_coverage(model, requested_coverage, premise)
@@ -92,7 +88,7 @@ def choose_covering_design(
     covered = walk.first_covered_design(compute_coverage, NEAR)
     if covered is not None:
         return covered, COVERED
-    wanted_coverage = target / overestimate
+    wanted_coverage = target / excess
     substitute = walk.search_near_best_design(search, wanted_coverage)
     if substitute is not None:
         return substitute, SEARCHED
@@ -115,14 +111,14 @@ class GainPairSearch:
     tolerates the recorded model error.
 
     Kept are the first design, the first that is covered `barely`, and the one with the `largest`
-    coverage, `most`. `overestimate` is the factor by which a coverage computed frequency by
+    coverage, `most`. `excess` is the factor by which a coverage computed frequency by
     frequency may exceed the proved one.
     """
 
     pairs: Iterator[tuple[int, Any]]
     make: Make
     places: tuple[int, ...]
-    overestimate: float
+    excess: float
     target: float
     first: Design | None = None
     barely: Design | None = None
@@ -173,7 +169,7 @@ class GainPairSearch:
     def _add_design(self, design: Design, coverage: float) -> None:
         """Store a design if its coverage (ratio of tolerated to recorded model error) is the
         largest so far or the first sufficient one."""
-        if self.barely is None and coverage >= self.overestimate:
+        if self.barely is None and coverage >= self.excess:
             self.barely = design
         if self.most is None or coverage > self.largest:
             self.most = design

@@ -260,8 +260,8 @@ def certify_largest_coverage(
     """Certificate with the largest ratio of proved to recorded model error over given disc centres,
     or the reason why there is none.
 
-    Where bands without excitation alone keep it from covering, the proof is that of the other
-    bands: its need of all of them says so.
+    If only bands without excitation prevent that the records are covered, the certificate is the
+    one for the other bands. Its coverage is below one as soon as all bands count.
     """
     for centre in centres:
         missing = premise.insufficient_records_reason(centre)

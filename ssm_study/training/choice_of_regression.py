@@ -60,10 +60,9 @@ def choose_regression(
     """Linear ARX model, preferred to all other candidate models if unmeasured disturbances dominate
     the log; otherwise None.
 
-    The candidates explain the records if the one that predicts best leaves less than `LOAD` of
-    those that it was trained on. Others may leave less: what they explain more does not help them
-    predict. The folds contradict a regression that they show behind the model that would be chosen
-    without it.
+    A load dominates if the candidate that predicts best leaves at least `LOAD` percent of its own
+    training records unexplained. (Others may explain more, but predict worse.) Even then there is
+    no regression if the folds show it behind the model that would be chosen without it.
     """
     best = best_candidate(candidates)
     if best.training_error < LOAD or not regressions:

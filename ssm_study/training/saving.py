@@ -254,8 +254,7 @@ def find_resumable_checkpoint(folder: Path, fingerprint: str) -> Path | None:
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
-    """Read the content of a training checkpoint, or raise `BadRequest` if the file is damaged.
-    Raises `BadRequest` when it is damaged."""
+    """Read the content of a training checkpoint, or raise `BadRequest` if the file is damaged."""
     try:
         return DurableCheckpointIO().load_checkpoint(path)
     except Exception as error:  # torch raises anything from UnpicklingError to RuntimeError here

@@ -210,7 +210,7 @@ class SettingsSearch:
         self, candidate: Candidate | None, others: Sequence[Candidate] = ()
     ) -> SettingsChoice:
         """Build the final choice of model settings from all decided settings and a candidate
-        model's size. The mean that predicts may have models of the others."""
+        model's size. `others` are candidates for further members of a mean of several models."""
         chosen = [*self.chosen]
         error = None
         linear_kind = None

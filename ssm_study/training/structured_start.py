@@ -126,11 +126,11 @@ def fit_best_random_poles(
     problem: SimulationProblem, initial: Theta, estimates_states: bool, rng: np.random.Generator
 ) -> Theta:
     """Fit linear models with several random sets of poles, and return the one that fits the records
-    best. The residues of the best set explain the records best.
+    best.
 
-    With poles and B given the output is linear in C, and in C times the free decay of a record's
-    unknown start: two least-squares problems. ARX weighs the next sample; where that hardly depends
-    on the input it misses slow modes.
+    For given poles and B the output is linear in C, and in the free response to a record's unknown
+    initial state: two least-squares problems. ARX, which minimises the error of the next sample,
+    misses slow modes where that sample hardly depends on the input.
     """
     order = len(initial["a"])
     candidates = []

@@ -177,17 +177,17 @@ def test_other_channels_than_were_fitted_are_refused(design: Design) -> None:
     for refused, said in (
         (
             lambda: model.predict(np.zeros((50, 2))),
-            r"u = \(50, 2\): needs one column per channel: 1",
+            r"u = \(50, 2\): needs 1 column, one per channel",
         ),
         (
             lambda: model.score(u, np.zeros((50, 2))),
             r"y = \(50, 2\): the model answers with \(50, 1\)",
         ),
         (lambda: model.score(u, y[1:]), r"y = \(49, 1\): the model answers with \(50, 1\)"),
-        (lambda: st.simulate(model, np.zeros((50, 2))), r"u = \(50, 2\): needs one column"),
+        (lambda: st.simulate(model, np.zeros((50, 2))), r"u = \(50, 2\): needs 1 column"),
         (
             lambda: st.simulate(design, np.zeros((3, 2))),
-            r"y0 = \(3, 2\): needs one column per channel: 1",
+            r"y0 = \(3, 2\): needs 1 column, one per channel",
         ),
     ):
         with pytest.raises(BadRequest, match=said):

@@ -108,10 +108,7 @@ VALUES["the plant rests at the input 0; choose limits around it"] = [
     "loop.input_lower=1",
     "loop.input_upper=3",
 ]
-VALUES["the plant's inputs number 1"] = [
-    "loop.input_lower=[-1.0,-2.0]",
-    "loop.input_upper=[1.0,2.0]",
-]
+VALUES["the plant has 1 input"] = ["loop.input_lower=[-1.0,-2.0]", "loop.input_upper=[1.0,2.0]"]
 
 
 def refused(overrides: list[str], results: Path, capfd: pytest.CaptureFixture[str]) -> str:
@@ -205,10 +202,7 @@ def test_malformed_recordings(what: str, tmp_path: Path, capfd: pytest.CaptureFi
             ["loop.input_lower=3"],
             "loop.input_lower, loop.input_upper = (3.0, inf): the log rests at the input 0.5;",
         ),
-        (
-            ["loop.input_lower=[-9.0,-9.0]", "loop.input_upper=[9.0,9.0]"],
-            "the log's inputs number 1",
-        ),
+        (["loop.input_lower=[-9.0,-9.0]", "loop.input_upper=[9.0,9.0]"], "the log has 1 input"),
         (
             ["loop.input_lower=3", "reference@loop.reference=step", "loop.reference.at_s=1"],
             "choose limits around it",

@@ -147,10 +147,7 @@ def _step_picture(
         ending = f"settles in {time_s:.3g} s"
         if ahead:
             since_motion_s = time_s + at_s - _first_output_change_s(run)
-            ending = (
-                f"settles {time_s:.3g} s after the step, {since_motion_s:.2g} s after the output"
-            )
-            ending += " first moves"
+            ending += f" ({since_motion_s:.2g} s after the output first moves)"
     unit = f" {plant.outputs[0].unit}" if plant.outputs[0].unit else ""
     known = ", known in advance," if ahead else ""
     title = f"Step of the set point by {size:.3g}{unit}{known} on {loop_place}: {ending}"

@@ -30,7 +30,7 @@ class ParquetReader(Reader, names=(".parquet",)):
             for kind, name in ((schema.field(name).type, name) for name in names):
                 numeric = is_numeric_type(kind)
                 problem = f"holds {kind}, not numbers"
-                remedy = "convert it"
+                remedy = "store the column as numbers"
                 require(numeric, where, name, problem, remedy)
             rows = parquet.read_metadata(path).num_rows
             most = MOST_BYTES // 8 // len(names)

@@ -243,7 +243,7 @@ def require_column_index(
         remedy = "count the columns from 0, or write names into the first line"
         require_known_columns(where, [name], titles, "file without names", remedy)
     require_known_columns(where, [name], titles, "header")
-    raise AssertionError  # check_named has refused it
+    raise AssertionError  # refused by now
 
 
 def arrow_columns_to_arrays(

@@ -326,7 +326,8 @@ def unreadable_cell_error(
     if problem == AMBIGUOUS:
         mark = "," if layout.decimal == "." else "."
         cell = next(text for text in texts if mark in text)
-        return BadRequest(where, cell, problem, "write 20007 or 20.007, whichever is meant")
+        remedy = f"write {cell.replace(mark, '')} or {cell.replace(mark, layout.decimal)}"
+        return BadRequest(where, cell, problem, f"{remedy}, whichever is meant")
     dated = problem.startswith("no date")
     plain = normalise_numbers(cells, missing_cell_mask(cells), layout.decimal)[0].to_pylist()
     for text, number, line in zip(texts, plain, layout.line_numbers, strict=True):

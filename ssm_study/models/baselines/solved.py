@@ -31,7 +31,7 @@ MOST_TERMS = 20
 
 class SolvedSpec(ModelSpec, ABC):
     """Base class of settings of models that are fitted by direct computation instead of gradient
-    training. `solve` returns their explicit numbers."""
+    training. `fit_model` returns the fitted model."""
 
     @abstractmethod
     def fit_model(self, data: DataSet) -> Simulator:
@@ -40,7 +40,7 @@ class SolvedSpec(ModelSpec, ABC):
     def build(self, data: DataSet, seed: int) -> Any:  # noqa: ARG002
         """Raise an error, because a model that is fitted by direct computation has no trainable
         form in torch."""
-        raise TypeError("solved, which is a training of its own")
+        raise TypeError("this model has a training of its own: it is solved for, without torch")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,8 +207,7 @@ def _refuse_short_records(data: DataSet, lags: int) -> None:
 
 
 def import_library(name: str) -> Any:
-    """Import an optional Python package, or raise `BadRequest` that says what to install. Raises
-    `BadRequest` that says what to install if it is missing."""
+    """Import an optional Python package, or raise `BadRequest` that says what to install."""
     try:
         return import_module(name)
     except ImportError as error:

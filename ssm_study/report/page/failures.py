@@ -25,8 +25,8 @@ GOOD = {SETTLED.word, NO_FASTER.word, IDENTIFIED.word}
 
 @dataclass(frozen=True, kw_only=True)
 class FailureGroup:
-    """Group of runs that failed for the same reason, with their places in the results table.
-    `places` are the first of their rows in the table."""
+    """Group of runs that failed for the same reason. `places` are the row numbers of the first of
+    them in the results table."""
 
     reason: str
     count: int
