@@ -304,7 +304,9 @@ def test_a_model_that_no_gain_steadies_is_told() -> None:
     design = RestDesign(model=unsteady, certificates=certificates, channels=CHANNELS)
     with pytest.raises(BadRequest, match="no single gain steadies the model"):
         design.simulate([0.5])
-    assert design.summary()["comes to rest"] == "not certified"
+    summary = design.summary()
+    assert summary["comes to rest"] == "not certified"
+    assert summary["input stays within"] == "-1 to 1"
 
 
 def test_an_input_with_its_rest_at_an_end_is_certified_with_the_cut_alone() -> None:

@@ -342,6 +342,24 @@ def test_the_ball_of_a_matrix_holds_it_in_exact_arithmetic(seed: int) -> None:
     assert ball.beta == expected_beta
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_an_interval_holds_what_neurons_reach_in_exact_arithmetic(seed: int) -> None:
+    """Slopes of one and minus one: the radius is the sum of the products of the weights."""
+    rng = np.random.default_rng(seed)
+    first, last = rng.standard_normal((2, 6))
+    ones = np.ones(6)
+    net = Network(
+        weights=(first[:, None], last[None]),
+        biases=(ones,),
+        negative_slopes=(-ones,),
+        positive_slopes=(ones,),
+    )
+    products = [Fraction(a) * Fraction(b) for a, b in zip(first, last, strict=True)]
+    largest = sum(map(abs, products))
+    ball = interval_bound(net).ball
+    assert largest <= Fraction(ball.beta) <= largest * Fraction(1.0001)
+
+
 def test_a_decreasing_map_keeps_its_sign() -> None:
     breakpoints = np.array([[0.0]])
     falling_slopes = [-1.0, -0.25]
