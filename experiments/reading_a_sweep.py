@@ -8,9 +8,9 @@
 # %% [markdown]
 # # Reading a sweep
 #
-# One run is an anecdote. This notebook sweeps the slope floor and the controller rate, then asks
-# the table the questions a study is made for: which run is best, where feasibility ends, whether
-# the prediction holds.
+# One run says little. This notebook sweeps the slope floor (`model.slope_lower`, the least slope
+# that the input map may have) and the controller rate. Then it asks the table which run is best, up
+# to which rate a certificate exists, and whether the prediction holds (words: `docs/glossary.md`).
 
 # %%
 import os
@@ -42,8 +42,8 @@ WHERE = [f"study={STUDY}", f"results_dir={RESULTS}", "progress=false"]
 _ = main(["run", "-m", f"experiment={EXPERIMENT}", *WHERE, *SWEEP])
 
 # %% [markdown]
-# Four runs, but only two trainings: a rate is requested for a model that exists already. The table
-# has a row per run, **failed and infeasible ones included**. A number that a run does not have is
+# There are four runs, but only two trainings: both rates use the same model. The table has a row
+# for each run, **failed and infeasible ones included**. A number that a run does not have is
 # missing, never zero.
 
 # %%
@@ -52,7 +52,7 @@ table = sort_best_first(study.table).assign(verdict=verdict_words(study.table))
 seen = ["verdict", "slope_lower", "rate_controller", "controller_rate_limit"]
 seen += ["resolved_margin", "stable_count", "settling_time_mean_s"]
 shown = table[seen].round(4).set_index(table.run.str.rsplit("-", n=1).str[-1].rename("run"))
-shown.rename(columns={name: printed_column_name(name).split(" (")[0] for name in seen})
+shown.rename(columns={name: printed_column_name(name) for name in seen})
 
 # %% [markdown]
 # ## The questions, answered from the table
@@ -64,9 +64,9 @@ for answer in question_answers(study.table):
 # %% [markdown]
 # ## Where feasibility ends
 #
-# Each model has its own exact limit (the bar), which follows from the eigenvalues of A and the
-# ratio of its smallest to its largest slope. A larger slope floor raises it. What lies above its
-# bar is infeasible *whatever* the solver.
+# Each model has its own exact limit of the rate (the bar), which follows from the eigenvalues of A
+# and from the ratio of the smallest to the largest slope of its input map. A larger slope floor
+# raises it. A rate above the bar is infeasible, whatever the solver.
 
 # %%
 figures.captioned_figure("feasibility_map", study)
@@ -74,7 +74,7 @@ figures.captioned_figure("feasibility_map", study)
 # %% [markdown]
 # ## Why is a run infeasible?
 #
-# The record says so, with the number that decides and what to change.
+# The record of the run gives the reason, the number that decides, and what to change.
 
 # %%
 infeasible = table[table.verdict == INFEASIBLE.word]
@@ -84,8 +84,8 @@ for _, row in infeasible.iterrows():
 # %% [markdown]
 # ## The same, with a mouse
 #
-# One file that opens from disk: brush in one plot and the rest follows, click a point and see its
-# run.
+# The report page is one file, which opens from disk. Select runs in one plot with the mouse, and
+# the other plots follow; click a point to see its run.
 
 # %%
 page = write_page(study.folder)

@@ -10,7 +10,7 @@
 #
 # A log from elsewhere rarely looks like a table of numbers. This notebook starts with a file as a
 # German data logger writes it, asks `ssm-study look` what is in it, and ends with a model that
-# knows which of its columns can be commanded. No line of it converts anything.
+# knows which of its columns can be commanded. The file is read as it is; nothing is converted.
 
 # %%
 import os
@@ -31,9 +31,10 @@ LOG = RESULTS / "Gewächshaus.txt"
 # %% [markdown]
 # ## The file
 #
-# A greenhouse: a heater that somebody switches between levels, the air inside, and the air outside,
-# which nobody commands. The logger counts milliseconds, writes decimal commas, semicolons and
-# two lines about itself, was switched off once, and lost three readings.
+# The log is of a simulated greenhouse: a heater (Heizung, in %) that somebody switches between
+# levels, the temperature of the air inside (Innen), and that of the air outside (Außen), which
+# nobody commands. The logger counts milliseconds and writes decimal commas, semicolons and two
+# lines about itself. It was switched off once, and lost three readings.
 
 # %%
 rng = np.random.default_rng(4)
@@ -63,8 +64,8 @@ print("\n".join(lines[:6]))
 # %% [markdown]
 # ## Look first
 #
-# The command (`ssm-study look FILE`) prints one screen and draws the signals. It guesses
-# input and output; their names say otherwise where the guess is wrong.
+# The command (`ssm-study look FILE`) prints one screen and draws the signals. It guesses which
+# columns are input and output; here `--input` and `--output` name them.
 
 # %%
 PICTURE = RESULTS / "Gewächshaus_look.png"
@@ -73,15 +74,16 @@ _ = main(["look", str(LOG), *named])
 display(Image(filename=str(PICTURE), retina=True))
 
 # %% [markdown]
-# Everything that matters for what follows stands there: the separator and the decimal comma, the
-# clock in milliseconds and its period, the hole and the missing readings, at which the log is cut
-# (nothing is invented), and a column that moves and is neither input nor output.
+# The screen says what matters for the next steps: the separator and the decimal comma; the clock in
+# milliseconds and its period; the hole and the missing readings, at which the log is cut (no value
+# is invented); and a column that moves and is neither input nor output.
 #
 # ## A column that nobody commands
 #
-# The air outside moves the air inside. As an input it would be commanded by the controller; left
-# out, the model takes its effect for noise. It belongs in `data.disturbance`: model and observer
-# are told it, the controller does not command it.
+# The temperature outside moves the one inside. If it were an input, the controller would try to
+# command it; if it were left out, its effect would look like noise. So it belongs in
+# `data.disturbance`: model and observer receive it, and the controller does not command it. The
+# first run below leaves it out, the second has it.
 
 # %%
 COMMAND = ["run", "data=recorded", f"data.path='{LOG}'", "data.input=Heizung"]
@@ -94,10 +96,10 @@ _ = main([*COMMAND, *FIRST, "study=greenhouse"])
 _ = main([*COMMAND, *FIRST, "study=greenhouse_weather", "data.disturbance='Außen'"])
 
 # %% [markdown]
-# The first fit is none, and the run says so before everything else: `cannot judge`. The second one
-# predicts. The rates of controller and observer are requested here, 0.9, which keeps this page
-# quick and asks for too much: the prediction says that, too. Without `synthesis=riccati` and the
-# rates the run chooses a pair that can be predicted, if there is one.
+# The first model hardly fits, and the run says so first: `cannot judge`. The records of the second
+# allow a prediction, but the loop is not predicted to be stable: the rates of 0.9, requested for
+# controller and observer to keep this page quick, are too high. Without `synthesis=riccati` and
+# these rates the run would choose rates for which it predicts a stable loop, if there are any.
 
 # %%
 both = [StudyFolder(folder=RESULTS / name) for name in ("greenhouse", "greenhouse_weather")]
@@ -108,7 +110,8 @@ for study in both:
 # %% [markdown]
 # ## What a misreading looks like
 #
-# Where two readings are possible the log is refused with both; nothing is guessed in silence.
+# A setting that contradicts the file is refused, in a sentence that names the setting, the value
+# and the remedy.
 
 # %%
 for settings in ({"input": "time(ms)"}, {"input": "Heizung", "step_s": 0.03}):

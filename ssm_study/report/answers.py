@@ -173,10 +173,12 @@ def fit_correlation_sentence(table: pd.DataFrame) -> str:
                 f"Over {int(has_all.sum())} certified runs, fit and {outcome} have a rank "
                 f"correlation of {rank:.2f} ({meaning}; 0: unrelated)."
             )
+    count = int(certified.sum())
+    different = fit[certified].nunique()
     return (
-        "This study cannot tell: that takes certified runs with three different fits and unequal "
-        f"loops (it has {int(certified.sum())} certified, with different fits: "
-        f"{fit[certified].nunique()})."
+        "This study cannot tell. It needs certified runs with three different fits, and loops that "
+        f"differ; it has {count} certified run{'' if count == 1 else 's'} with {different} "
+        f"different fit{'' if different == 1 else 's'}."
     )
 
 

@@ -102,7 +102,7 @@ def test_a_correlation_needs_three_fits_and_unequal_loops() -> None:
     sentence = fit_correlation_sentence(table)
     assert "share of starts settled have a rank correlation of 1.00" in sentence
     alike = fits(80, 80, 90, stable_fraction=shares)
-    unknown = "(it has 3 certified, with different fits: 2)."
+    unknown = "it has 3 certified runs with 2 different fits."
     sentence = fit_correlation_sentence(alike)
     assert sentence.endswith(unknown)
     equal = fits(80, 85, 90, stable_fraction=1.0, settling_time_mean_s=[3.0, 2.0, 1.0])
