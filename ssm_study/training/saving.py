@@ -37,7 +37,7 @@ from ssm_study.training.metrics import Identification
 
 if TYPE_CHECKING:
     from ssm_study.training.structured_fit import StructuredFit
-    from ssm_study.training.training import Training
+    from ssm_study.training.training import Training, TrainingSession
 
 SEAL_BYTES = hashlib.sha256().digest_size
 LAST = "last.ckpt"
@@ -93,27 +93,22 @@ class DurableCheckpointIO(CheckpointIO):
 
 
 def train_with_lightning(
-    settings: "Training",
-    spec: ModelSpec,
-    data: DataSet,
-    seed: int,
-    folder: Path,
-    progress: bool,
-    keep_on_interrupt: bool = False,
+    settings: "Training", spec: ModelSpec, data: DataSet, session: "TrainingSession"
 ) -> Identification:
     """Train a model with PyTorch Lightning, with checkpoints and early stopping, and return the
     best model. Epochs, checkpoints and early stopping are the same for models with and without
     torch.
 
-    With `keep_on_interrupt` Ctrl-C ends the training with the best state so far, once an epoch has
-    ended; raises `KeyboardInterrupt` otherwise.
+    With the session's `keep_on_interrupt` Ctrl-C ends the training with the best state so far, once
+    an epoch has ended; raises `KeyboardInterrupt` otherwise.
     """
     # More epochs or patience only continue a training, so a checkpoint is good for those too.
     lasting = replace(settings, max_epochs=1, patience=1)
-    belongs_to = training_fingerprint((spec, seed), lasting, data)
+    folder = session.folder
+    belongs_to = training_fingerprint((spec, session.seed), lasting, data)
     tolerance = settings.validation_tolerance_percent
     keeper = BestModelCheckpoint(tolerance, folder, belongs_to, settings.checkpoint_every_s)
-    fit = build_lightning_module(settings, spec, data, seed)
+    fit = build_lightning_module(settings, spec, data, session)
     stopping = EarlyStopping(
         monitor=FITS[1],
         mode="max",
@@ -121,13 +116,13 @@ def train_with_lightning(
         min_delta=settings.min_gain_percent,
         patience=settings.patience,
     )
-    line = [ProgressLine(settings.max_epochs)] if progress else []
+    line = [ProgressLine(settings.max_epochs)] if session.progress else []
     # Saved is what stopping has counted.
     callbacks = [stopping, keeper, *line, RestoreSignalHandlers()]
     try:
         run_trainer(settings, fit, callbacks, folder, find_resumable_checkpoint(folder, belongs_to))
     except KeyboardInterrupt:
-        if not keep_on_interrupt or not keeper.curve:
+        if not session.keep_on_interrupt or not keeper.curve:
             raise
         keeper.ended = f"{INTERRUPTED} after {len(keeper.curve)} epochs"
     early = f"{settings.max_epochs} epochs done"
@@ -143,14 +138,16 @@ def train_with_lightning(
 
 
 def build_lightning_module(
-    settings: "Training", spec: ModelSpec, data: DataSet, seed: int
+    settings: "Training", spec: ModelSpec, data: DataSet, session: "TrainingSession"
 ) -> "TorchFit | StructuredFit":
     """Build the Lightning module that trains a model with given settings."""
     if isinstance(spec, StructuredSpec):
         from ssm_study.training import structured_fit  # compiles
 
-        return structured_fit.StructuredFit(spec, data, seed)
-    fit = TorchFit(spec.build(data, seed), data, settings)
+        prepared = structured_fit.StructuredFit(spec, data, session.seed)
+        prepared.initial_parameters = session.initial_parameters.get(session.seed, {})
+        return prepared
+    fit = TorchFit(spec.build(data, session.seed), data, settings)
     fit.to(torch.float32 if settings.precision == 32 else torch.float64)
     return fit
 

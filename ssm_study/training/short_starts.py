@@ -12,6 +12,7 @@ import numpy as np
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet, fit_from_relative_error
 from ssm_study.training.structured_fit import StructuredFit
+from ssm_study.training.structured_problem import Theta
 
 STEPS = 20  # of a short training, inside the contracting set
 DRAWS = 3  # of several random neurons for such a training
@@ -48,8 +49,9 @@ def best_seeds(
     count: int,
     kept_count: int,
     print_line: Callable[[str], object] = str,
-) -> list[int]:
-    """Random seeds whose training runs have the smallest loss after a few steps, the best first.
+) -> dict[int, Theta]:
+    """Random seeds whose training runs have the smallest loss after a few steps, the best first,
+    each with the parameters from which its run began. Without any, the first seed and none.
 
     Starts whose model has no certified state feedback and observer come behind all that have, where
     the specification asks for them. Each start is announced when it is done.
@@ -67,7 +69,8 @@ def best_seeds(
     certified = first_certifiable_seeds(spec, finite_fits, kept_count)
     others = [seed for seed in by_loss if seed not in certified]
     ordered_seeds = [*certified, *others]
-    return ordered_seeds[:kept_count] or [first]
+    kept = ordered_seeds[:kept_count]
+    return {seed: fits[seed].initial_parameters for seed in kept} or {first: {}}
 
 
 def first_certifiable_seeds(

@@ -67,6 +67,7 @@ class StructuredFit(pl.LightningModule):
         super().__init__()
         self.automatic_optimization = False
         self.linear_starts = {} if linear_starts is None else linear_starts
+        self.initial_parameters: Theta = {}  # once computed; given, if the same run began before
         self.spec = spec
         self.data = data
         self.seed = seed
@@ -130,11 +131,16 @@ class StructuredFit(pl.LightningModule):
 
     def start_training(self, steps: int) -> None:
         """Compute initial parameters, and improve them by a limited number of training steps."""
-        start = self._initial_parameters()
-        if self.problem.gain_share:
-            start = self._train_without_gain_penalty(start)
+        start = self.initial_parameters or self._prepare_parameters()
+        self.initial_parameters = start
         at = minimise_simulation_error(self.problem, start, self._trained_block_names, steps)
         self._store_descent_state(at)
+
+    def _prepare_parameters(self) -> Theta:
+        """Compute initial parameters; behind an integrator they are improved without penalty on the
+        gain's sign first."""
+        start = self._initial_parameters()
+        return self._train_without_gain_penalty(start) if self.problem.gain_share else start
 
     def continue_training(self, steps: int) -> None:
         """Continue a training by a limited number of steps."""

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from ssm_study.models.structured_spec import StructuredSpec
     from ssm_study.training.metrics import Identification
     from ssm_study.training.search import SettingsChoice
+    from ssm_study.training.structured_problem import Theta
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,10 +228,11 @@ class Training:
         brief = settings_for_short_training(spec)
         announce = make_progress_printer(session.progress, "short starts")
         start_counts = count_short_and_full_runs(spec)
-        seeds = best_seeds(brief, data, session.seed, *start_counts, announce)
-        starts = [brief] * len(seeds)
+        kept = best_seeds(brief, data, session.seed, *start_counts, announce)
+        starts = [brief] * len(kept)
+        prepared_session = replace(session, initial_parameters=kept)
         return self._train_and_select_best(
-            starts, data, session, spec.members, only_certified=True, seeds=seeds
+            starts, data, prepared_session, spec.members, only_certified=True, seeds=[*kept]
         )
 
     def _train_and_select_best(
@@ -287,10 +289,9 @@ class Training:
         identified: list[Identification] = []
         for k, (spec, seed) in enumerate(zip(starts, seeds, strict=True)):
             folder = session.folder / f"start_{k}" if k else session.folder
+            own_session = replace(session, seed=seed, folder=folder)
             try:
-                start = saving.train_with_lightning(
-                    self, spec, data, seed, folder, session.progress, session.keep_on_interrupt
-                )
+                start = saving.train_with_lightning(self, spec, data, own_session)
             except KeyboardInterrupt:
                 if not session.keep_on_interrupt or not identified:
                     raise
@@ -342,9 +343,13 @@ def refuse_unsupported_disturbances(spec: "ModelSpec", data: DataSet) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingSession:
-    """Seed, folder and options that all training runs of one identification have in common."""
+    """Seed, folder and options that all training runs of one identification have in common.
+
+    `initial_parameters` are those of structured models whose runs began before, by seed.
+    """
 
     seed: int
     folder: Path
     progress: bool = False
     keep_on_interrupt: bool = False
+    initial_parameters: "dict[int, Theta]" = field(default_factory=dict)
