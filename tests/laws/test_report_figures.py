@@ -20,7 +20,7 @@ from ssm_study.cli import summary as endings
 from ssm_study.data.mcap import SignalGroup
 from ssm_study.refusal import BadRequest
 from ssm_study.report import figures
-from ssm_study.report.figures import learned_dead_zone, validation_trajectory
+from ssm_study.report.figures import learned_dead_zone, robustness, validation_trajectory
 from ssm_study.report.run_pictures import PICTURES, picture_of_run
 from ssm_study.report.study_folder import NothingToDraw, RunFolder, StudyFolder
 from ssm_study.signals import Channel
@@ -102,6 +102,16 @@ def labels_to_read(axes: Axes, figure: Figure) -> list[str]:
     if place.is_last_row() or not shares_axis:
         return [axes.get_ylabel(), axes.get_xlabel()]
     return [axes.get_ylabel()]
+
+
+def test_the_faster_a_controller_settles_the_darker_is_its_cell(studies: dict[str, Path]) -> None:
+    study_folder = StudyFolder(folder=studies["runs"])
+    figure = robustness.draw(study_folder)
+    (image,) = figure.axes[0].images
+    shares_of_open_loop = np.array([[0.25, 0.5, 0.9]])
+    colours = image.to_rgba(shares_of_open_loop)
+    brightness = colours[0, :, :3].sum(axis=1)
+    assert (np.diff(brightness) > 0).all()
 
 
 @pytest.mark.parametrize("kind", ["empty", "failures"])
