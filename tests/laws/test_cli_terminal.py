@@ -4,6 +4,7 @@ import io
 import re
 import sys
 import webbrowser
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,7 +21,7 @@ from ssm_study.cli.commands import confirm_overwriting, drawn_figures_text, expo
 from ssm_study.cli.hydra_errors import explain_hydra_error
 from ssm_study.cli.main import DONE, WRONG_REQUEST, main
 from ssm_study.cli.request import translate_arguments
-from ssm_study.cli.run import configuration_folder, print_activity
+from ssm_study.cli.run import configuration_folder, print_activity, run
 from ssm_study.cli.summary import print_run_summary
 from ssm_study.durable import file_lock
 from ssm_study.engine.records import LOCK, write_record
@@ -145,6 +146,26 @@ def test_the_page_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert shown == expected
     arguments = ["seed=1", "--open"]
     assert translate_arguments(arguments) == ["seed=1"]
+
+
+@pytest.mark.parametrize("words", [[], ["--open"]])
+def test_the_page_of_a_run_is_opened_where_it_was_asked_for(
+    monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    config = SimpleNamespace(dry_run=False)
+    request = SimpleNamespace(execute=lambda _: None, config=config)
+    opened: list[object] = []
+    replaced: dict[str, Any] = {
+        "compose_request": lambda *_: request,
+        "check_jobs_before_start": lambda _: nullcontext(),
+        "_task_function": lambda: None,
+        "print_study_summary": lambda _: 0,
+        "write_and_open_page": opened.append,
+    }
+    for name, function in replaced.items():
+        monkeypatch.setattr(f"ssm_study.cli.run.{name}", function)
+    assert run(["seed=3", *words]) == DONE
+    assert opened == [request] * len(words)
 
 
 def test_progress_is_a_line_a_stage_on_a_terminal_alone(

@@ -3,13 +3,14 @@
 import re
 import shutil
 import sys
+from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
 from ssm_study.engine import fingerprint as code
-from ssm_study.engine.fingerprint import CodeReader, code_version, find_symbol
+from ssm_study.engine.fingerprint import CodeReader, code_version, find_symbol, library_version
 from ssm_study.study.stages.bounds import BOUNDS
 from ssm_study.study.stages.catalogue import STAGES
 from ssm_study.study.stages.dataset import DATASET
@@ -228,6 +229,10 @@ def test_a_library_counts_by_its_version_where_it_is_used(
     monkeypatch.setattr("ssm_study.engine.fingerprint.library_version", lambda name: f"{name} 99")
     assert seen("used") == before[0]
     assert seen("unused") != before[1]
+
+
+def test_a_library_under_another_name_is_found_by_its_files() -> None:
+    assert library_version("flint") == f"python-flint {version('python-flint')}"
 
 
 KINDS_OF_INSTALLATION = [True, False]

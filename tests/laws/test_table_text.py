@@ -234,6 +234,9 @@ def test_costs_count_each_stage_once() -> None:
     together = computing_time_lines(table)[-1]
     expected = ["together", "30", "s", "3", "min"]
     assert together.split() == expected
+    of_no_run = table.assign(stage_bounds_key=None, stage_bounds_seconds=None)
+    (line,) = [line for line in computing_time_lines(of_no_run) if line.startswith("bounds")]
+    assert line.split() == ["bounds", "0", "0", "0", "0.00", "s", "0", "s", "0", "s"]
     empty = table_from_records([])
     assert computing_time_lines(empty)
 

@@ -8,7 +8,7 @@ import pytest
 import scipy.io
 import scipy.signal
 
-from ssm_study.data.log_checks import ANGLE
+from ssm_study.data.log_checks import ANGLE, angle_remarks
 from ssm_study.data.look import look
 from ssm_study.data.recorded import RecordedData
 from ssm_study.evidence.metrics import judge_log_reading
@@ -44,6 +44,15 @@ def test_an_angle_that_starts_again_is_doubted_where_the_log_is_read(tmp_path: P
     table.to_csv(path, index=False)
     straight = RecordedData(path=str(path), input="u", output="y").build(0).metadata["reading"]
     assert "turn" not in straight
+
+
+@pytest.mark.parametrize("turn", [360.0, 2 * np.pi])
+@pytest.mark.parametrize("start", [0.0, -0.5])
+def test_an_angle_may_start_at_zero_or_half_a_turn_below(turn: float, start: float) -> None:
+    turns = 0.03 * np.arange(400.0)
+    angle = turn * (turns % 1.0 + start)
+    (remark,) = angle_remarks([angle], "output")
+    assert f"by a turn of {turn:.4g} in 11 places" in remark
 
 
 def test_an_angle_that_starts_again_is_named(tmp_path: Path) -> None:
