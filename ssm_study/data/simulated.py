@@ -62,7 +62,7 @@ class HeldOutRecords:
 class SimulatedData:
     """Data set that is simulated with one of the project's plants, with measurement noise. `y =
     h(x) + e`, `e ~ N(0, noise_variance)` on training and validation records; the test record is
-    noise-free.
+    noise-free unless `test_noise`.
 
     Validation and test, one record each, are excited by `scoring_excitation` whatever the training
     excitation is, so that runs compare. Every record of the three parts starts at the plant's
