@@ -6,9 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.export.c import AGREEMENT, escape_comment, read_template, require_c_identifier
-from ssm_study.export.c_tables import render_array, render_number
-from ssm_study.export.device import REALS
+from ssm_study.export.c import AGREEMENT, escape_comment, require_c_identifier
+from ssm_study.export.c_tables import read_template, render_array, render_number
+from ssm_study.export.set_point_maps import REALS
 from ssm_study.loop.bilinear_feedback import BilinearFeedback
 from ssm_study.refusal import require_one_of
 

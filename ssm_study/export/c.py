@@ -5,29 +5,23 @@ Every constant is written so that it reads back to the same float.
 
 import re
 from collections.abc import Sequence
-from pathlib import Path
-from string import Template
 
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.bounds.network import InverseMap, PortableMap
 from ssm_study.export import c_monitor
+from ssm_study.export.c_maps import (
+    render_set_point_functions,
+    render_set_point_maps,
+    render_static_map,
+)
 from ssm_study.export.c_monitor import MonitorConstants
 from ssm_study.export.c_neurons import join_lines, render_neurons
-from ssm_study.export.c_tables import render_array, render_number
+from ssm_study.export.c_tables import read_template, render_array, render_number
 from ssm_study.export.device import REALS, DeviceController
-from ssm_study.export.equilibrium_curve import PiecewiseLinear
 from ssm_study.refusal import require
 
-
-def read_template(name: str) -> Template:
-    """Read a template of C code from its file in the export package."""
-    return Template(Path(__file__).with_name(name).read_text(encoding="utf-8"))
-
-
 _HEADER = read_template("controller.h.txt")
-_SET_POINTS = read_template("set_points.h.txt")
 _REPLAY = read_template("replay.c.txt")
 # The header's comment on use within limits, with set points and without them; `#` is the
 # prefix, `@` the reason why there are none.
@@ -121,15 +115,16 @@ def _render_header(
     tables = ""
     for label, values in device.constant_tables().items():
         tables += render_array(f"{prefix}_{label}", values, real)
-    maps = _render_static_map(f"{prefix}_s_in", controller.s_in, prefix, real)
-    maps += _render_static_map(f"{prefix}_s_out", controller.s_out, prefix, real)
+    maps = render_static_map(f"{prefix}_s_in", controller.s_in, prefix, real)
+    maps += render_static_map(f"{prefix}_s_out", controller.s_out, prefix, real)
     sizes = _template_values(device, prefix)
     declared = ""
     defined = ""
-    has_set_points = device.set_point_maps is not None
-    if has_set_points:
-        maps += _render_set_point_maps(device, prefix)
-        defined = _SET_POINTS.substitute(sizes)
+    points = device.set_point_maps
+    has_set_points = points is not None
+    if points is not None:
+        maps += render_set_point_maps(points, prefix, real)
+        defined = render_set_point_functions(points, sizes)
         declared = _function_prototypes(defined)
     texts = sizes | comments | render_neurons(device, prefix)
     texts["pushed"] = _render_disturbance_update(device, prefix)
@@ -150,17 +145,6 @@ def _render_header(
         "relative": render_number(1e-9 if real == "double" else 1e-6, real),
     }
     return _HEADER.substitute(texts)
-
-
-def _render_set_point_maps(device: DeviceController, prefix: str) -> str:
-    """C functions that convert set points to equilibria of the controller's model."""
-    points = device.set_point_maps
-    assert points is not None
-    maps = _render_inverse_map(f"{prefix}_s_in_inverse", points.inward, prefix, device.real)
-    maps += _render_inverse_map(f"{prefix}_s_out_inverse", points.outward, prefix, device.real)
-    for label, part in points.equilibrium_maps.items():
-        maps += _render_equilibrium_map(f"{prefix}_{label}", part, prefix, device.real)
-    return maps
 
 
 def _function_prototypes(c_code: str) -> str:
@@ -294,106 +278,3 @@ def _render_signal_table(array_name: str, values: Float[np.ndarray, "T w"], c_ty
         rows.append(f"{{{numbers}}}")
     width = values.shape[1]
     return f"static const {c_type} {array_name}[{REPLAYED}][{width}] = {{{', '.join(rows)}}};"
-
-
-def _render_function(
-    function_name: str,
-    argument: str,
-    tables: dict[str, Float[np.ndarray, "..."]],
-    body: str,
-    c_type: str,
-) -> str:
-    """C function with one argument and one result, preceded by its constant arrays. `void
-    name(argument, out)`.
-
-    A constant is called `name_<label>` in C and `#label` in `body`.
-    """
-    constants = "".join(
-        render_array(f"{function_name}_{label}", values, c_type) for label, values in tables.items()
-    )
-    code = body.replace("#", f"{function_name}_")
-    head = f"static inline void {function_name}(const {c_type} *{argument}, {c_type} *out) {{"
-    return f"\n{constants}{head}\n{code}}}\n"
-
-
-def _render_product(
-    prefix: str, matrix_name: str, matrix: Float[np.ndarray, "r c"], source: str, target: str
-) -> str:
-    """Line of C code that adds the product of a matrix and a vector to another vector."""
-    rows, columns = matrix.shape
-    return f"    {prefix}_matvec({rows}, {columns}, #{matrix_name}, {source}, {target});\n"
-
-
-def _render_static_map(
-    function_name: str, static_map: PortableMap, prefix: str, c_type: str
-) -> str:
-    """C function that evaluates a piecewise-linear static map, layer by layer. `out += linear v +
-    N(v)`, `d = phi(W d + b) - phi(b)`."""
-    tables = {"linear": static_map.linear}
-    body = _render_product(prefix, "linear", static_map.linear, "v", "out")
-    source = "v"
-    layers = static_map.network.hidden_layers() if static_map.network else ()
-    for i, (w, b, low, high) in enumerate(layers):
-        width = len(b)
-        tables[f"w{i}"] = w
-        tables[f"b{i}"] = b
-        tables[f"low{i}"] = low
-        tables[f"high{i}"] = high
-        tables[f"at_zero{i}"] = np.where(b >= 0, high, low) * b
-        over_layer = f"    for (int i = 0; i < {width}; ++i)"
-        bent = f"{prefix}_leaky(d{i}[i], #low{i}[i], #high{i}[i])"
-        body += f"    {c_type} d{i}[{width}];\n"
-        body += f"{over_layer} d{i}[i] = #b{i}[i];\n"
-        body += _render_product(prefix, f"w{i}", w, source, f"d{i}")
-        body += f"{over_layer}\n"
-        body += f"        d{i}[i] = {bent} - #at_zero{i}[i];\n"
-        source = f"d{i}"  # what the next layer takes
-    if static_map.network:
-        weights = static_map.network.weights
-        tables["w_out"] = weights[-1]
-        body += _render_product(prefix, "w_out", tables["w_out"], source, "out")
-    return _render_function(function_name, "v", tables, body, c_type)
-
-
-def _render_equilibrium_map(
-    function_name: str,
-    equilibrium_map: PiecewiseLinear | Float[np.ndarray, "r c"],
-    prefix: str,
-    c_type: str,
-) -> str:
-    """C function that adds the value of a linear or piecewise-linear map to the vector `out`. `out
-    += part w`."""
-    if not isinstance(equilibrium_map, PiecewiseLinear):
-        product = _render_product(prefix, "linear", equilibrium_map, "w", "out")
-        return _render_function(function_name, "w", {"linear": equilibrium_map}, product, c_type)
-    count = len(equilibrium_map.points)
-    width = equilibrium_map.slopes.shape[1]
-    at = f"j * {width} + i"
-    body = "    int j;\n"
-    body += f"    for (j = 0; j < {count} && #at[j] <= w[0]; ++j) {{}}\n"
-    body += f"    for (int i = 0; i < {width}; ++i)"
-    body += f" out[i] = #slope[{at}] * w[0] + #offset[{at}];\n"
-    tables = {
-        "at": equilibrium_map.points,
-        "slope": equilibrium_map.slopes,
-        "offset": equilibrium_map.offsets,
-    }
-    return _render_function(function_name, "w", tables, body, c_type)
-
-
-def _render_inverse_map(function_name: str, inverse: InverseMap, prefix: str, c_type: str) -> str:
-    """C function that evaluates the inverse of a static map. `out = S^{-1}(w)`."""
-    if inverse.matrix is not None:
-        body = _render_product(prefix, "linear", inverse.matrix, "w", "out")
-        return _render_function(function_name, "w", {"linear": inverse.matrix}, body, c_type)
-    tables: dict[str, Float[np.ndarray, ...]] = {}
-    body = "    int j;\n"
-    for c, (points, slopes, offsets) in enumerate(inverse.channels):
-        search = "j = 0;"
-        if len(points):  # C has no array of size zero
-            tables[f"at{c}"] = points
-            search = f"for (j = 0; j < {len(points)} && #at{c}[j] <= w[{c}]; ++j) {{}}"
-        tables[f"slope{c}"] = slopes
-        tables[f"offset{c}"] = offsets
-        body += f"    {search}\n    out[{c}] = #slope{c}[j] * w[{c}] + #offset{c}[j];\n"
-    return _render_function(function_name, "w", tables, body, c_type)

@@ -1,12 +1,19 @@
 """Numbers and arrays of the exported C code, each written so that it is read back as the same
-float."""
+float, and its templates."""
 
+from pathlib import Path
+from string import Template
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.export.device import REALS
+from ssm_study.export.set_point_maps import REALS
+
+
+def read_template(name: str) -> Template:
+    """Read a template of C code from its file in the export package."""
+    return Template(Path(__file__).with_name(name).read_text(encoding="utf-8"))
 
 
 def render_number(value: float | np.floating[Any], c_type: str) -> str:

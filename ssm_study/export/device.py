@@ -1,12 +1,11 @@
 """Python model of the exported controller, which computes exactly as the exported C code does.
 
-For a set point r the law aims at the equilibrium of the model nearest to it: `v* = S_u^{-1}(G^+
-S_y^{-1}(w_r))`, clamped to the limits, `x* = (I - A)^{-1} B S_u(v*)`, `G = C (I - A)^{-1} B + D`,
-and applies `u = clamp(u_eq + s_u (v* + K (x - x*)))`; with neurons equilibria are read from a curve
-(`equilibrium_curve`). The observer uses the input that was applied, so a limit does not disturb the
-estimate, and no error enters an internal model while it acts: nothing winds up. `DeviceController`
-is also its own oracle: `recomputed_inputs` runs the law in NumPy, one rounding for one rounding of
-the C code compiled with `-ffp-contract=off`.
+For a set point r the law aims at the equilibrium `v*, x*` of the model nearest to it
+(`set_point_maps`), with `v*` clamped to the limits, and applies `u = clamp(u_eq + s_u (v* + K (x -
+x*)))`. The observer uses the input that was applied, so a limit does not disturb the estimate, and
+no error enters an internal model while it acts: nothing winds up. `DeviceController` is also its
+own oracle: `recomputed_inputs` runs the law in NumPy, one rounding for one rounding of the C code
+compiled with `-ffp-contract=off`.
 """
 
 from dataclasses import dataclass
@@ -16,43 +15,23 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.bounds.network import InverseMap, PortableMap, invert_map
-from ssm_study.export.equilibrium_curve import (
-    EquilibriumCurve,
-    PiecewiseLinear,
-    compute_equilibrium_curve,
-    evaluate_equilibrium_map,
+from ssm_study.bounds.network import InverseMap, PortableMap
+from ssm_study.export.equilibrium_curve import PiecewiseLinear, evaluate_equilibrium_map
+from ssm_study.export.portable import (
+    PortableController,
+    Vector,
+    convert_floats,
+    evaluate_inverse_map,
+    evaluate_static_map,
+    multiply_in_order,
 )
-from ssm_study.export.portable import PortableController, Vector, convert_floats, multiply_in_order
+from ssm_study.export.set_point_maps import (
+    REALS,
+    SetPoints,
+    derive_set_points,
+    explain_missing_set_points,
+)
 from ssm_study.refusal import require_one_of
-from ssm_study.systems import StateSpace
-
-REALS: dict[str, Any] = {"double": np.float64, "float": np.float32}
-WIDEST = 5.0  # scaled inputs: as far as a curve of equilibria goes where there is no limit
-IDLE = 1e-9  # relative: a direction of inputs below it moves no output at rest
-
-
-@dataclass(frozen=True, kw_only=True)
-class SetPoints:
-    """Maps from set points to equilibria of the controller's model, and from equilibria to set
-    points. `to_lifted (k, q)` is `G^+`, `at_rest (n, k)` is `(I - A)^{-1} B` over zeros, `seen (q,
-    k)` is G. With neurons each is a line through stored points, which misses what S_y reads by at
-    most `missed`."""
-
-    to_lifted: (
-        Float[np.ndarray, "k q"] | PiecewiseLinear
-    )  # the least input where inputs outnumber outputs
-    at_rest: Float[np.ndarray, "n k"] | PiecewiseLinear
-    seen: Float[np.ndarray, "q k"] | PiecewiseLinear
-    inward: InverseMap
-    outward: InverseMap
-    missed: float = 0.0
-
-    @property
-    def equilibrium_maps(self) -> dict[str, Any]:
-        """Three maps between set points and equilibria of the controller's model, keyed by name."""
-        names = ("to_lifted", "at_rest", "seen")
-        return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,9 +40,9 @@ class DeviceController:
     of the C code.
 
     Limits are infinite where there is none. `set_point_maps` is None where they cannot be computed
-    on a device: S_u or S_y couples its channels, the model integrates, no constant input reaches
-    every output, or neurons stand between several inputs or outputs. Raises `BadRequest` for
-    another `real`.
+    on a device: S_u or S_y couples its channels, some outputs integrate and others do not, no
+    constant input reaches every output, or neurons stand between several inputs or outputs. Raises
+    `BadRequest` for another `real`.
     """
 
     controller: PortableController
@@ -100,19 +79,8 @@ class DeviceController:
     @cached_property
     def set_point_maps(self) -> SetPoints | None:
         """Maps between set points and equilibria of the controller's rounded model; None where a
-        device cannot compute them.
-
-        None where a device cannot compute them.
-        """
-        controller = convert_floats(self.controller, np.float64)
-        inward = invert_map(controller.s_in)
-        outward = invert_map(controller.s_out)
-        if inward is None or outward is None:
-            return None
-        model = controller.recurrence()
-        if isinstance(model, StateSpace):
-            return self._linear_set_point_maps(model, inward, outward)
-        return self._interpolated_set_point_maps(controller, inward, outward)
+        device cannot compute them."""
+        return derive_set_points(self.controller, self.real, self.lower, self.upper)
 
     @property
     def no_set_points_reason(self) -> str:
@@ -120,89 +88,7 @@ class DeviceController:
         can."""
         if self.set_point_maps is not None:
             return ""
-        controller = convert_floats(self.controller, np.float64)
-        maps = (controller.s_in, controller.s_out)
-        if any(invert_map(part) is None for part in maps):
-            return "a map couples channels"
-        model = controller.recurrence()
-        if isinstance(model, StateSpace):
-            integrates = "the model integrates"
-            return integrates if model.integrates else "no constant input reaches every output"
-        if len(self.lower) > 1 or len(model.c) > 1:
-            return "neurons stand between several inputs or outputs"
-        return "two equilibria of the model have one output, or one was not found"
-
-    def _linear_set_point_maps(
-        self, model: StateSpace, inverse_input_map: InverseMap, inverse_output_map: InverseMap
-    ) -> SetPoints | None:
-        """Maps between set points and equilibria of a linear model, as matrices; None for a model
-        that integrates or cannot reach every output."""
-        states, _, gain = model.equilibrium_basis()
-        if model.integrates:
-            return None
-        tol = IDLE * np.linalg.norm(gain)
-        reached_outputs = np.linalg.matrix_rank(gain, tol=tol)
-        if reached_outputs < len(gain):
-            return None
-        controller_a = self.controller.a
-        below = len(controller_a) - model.order
-        to_lifted = np.linalg.pinv(gain)
-        at_rest = np.pad(states, ((0, below), (0, 0)))
-        exact = SetPoints(
-            to_lifted=to_lifted,
-            at_rest=at_rest,
-            seen=gain,
-            inward=inverse_input_map,
-            outward=inverse_output_map,
-        )
-        kind = REALS[self.real]
-        return convert_floats(exact, kind)
-
-    def _interpolated_set_point_maps(
-        self,
-        controller: PortableController,
-        inverse_input_map: InverseMap,
-        inverse_output_map: InverseMap,
-    ) -> SetPoints | None:
-        """Maps between set points and equilibria of a model with neurons, by interpolation between
-        tabulated equilibria; None where they are not unique. Points between the interpolated ones
-        show the error."""
-        if len(self.lower) > 1:
-            return None
-        low = self._mapped_limit(controller, self.lower)
-        high = self._mapped_limit(controller, self.upper)
-        full = compute_equilibrium_curve(controller, low, high)
-        if full is None:
-            return None
-        lifted = full.lifted[::2]
-        equilibrium_curve_read = full.read[::2]
-        stored = EquilibriumCurve(lifted=lifted, x=full.x[::2], read=equilibrium_curve_read)
-        below = len(controller.a) - stored.x.shape[1]
-        states = np.pad(stored.x, ((0, 0), (0, below)))
-        output_map = PiecewiseLinear.from_points(stored.lifted, stored.read[:, None])
-        errors = []
-        for v, read in zip(full.lifted, full.read, strict=True):
-            on_line = float(output_map(v[None])[0])
-            errors.append(abs(on_line - read))
-        to_lifted = PiecewiseLinear.from_points(stored.read, stored.lifted[:, None])
-        at_rest = PiecewiseLinear.from_points(stored.lifted, states)
-        joined = SetPoints(
-            to_lifted=to_lifted,
-            at_rest=at_rest,
-            seen=output_map,
-            inward=inverse_input_map,
-            outward=inverse_output_map,
-            missed=max(errors),
-        )
-        kind = REALS[self.real]
-        return convert_floats(joined, kind)
-
-    @staticmethod
-    def _mapped_limit(controller: PortableController, limit: Vector) -> float:
-        """Value of the controller's static input map at an input limit."""
-        u = limit.astype(float)
-        scaled = controller.scale.scaled_input(u)
-        return float(_evaluate_static_map(controller.s_in, np.clip(scaled, -WIDEST, WIDEST))[0])
+        return explain_missing_set_points(self.controller, len(self.lower))
 
     def constant_tables(self) -> dict[str, Float[np.ndarray, "..."]]:
         """Constant matrices and vectors of the exported C code, by name."""
@@ -230,9 +116,8 @@ class DeviceController:
             products += neurons.f.size + neurons.g.size + neurons.l_z.size
         if points is None:  # the input is computed twice, and compared
             return products + controller.k.size + 3 * inputs
-        inverses = _count_inverse_multiplications(points.inward) + _count_inverse_multiplications(
-            points.outward
-        )
+        inverted = [part for part in (points.inward, points.outward) if part is not None]
+        inverses = sum(_count_inverse_multiplications(part) for part in inverted)
         parts = points.equilibrium_maps.values()
         reaching = sum(_count_equilibrium_multiplications(part) for part in parts)
         return products + reaching + inverses + maps + 2 * inputs
@@ -245,7 +130,7 @@ class DeviceController:
             controller_a = self.controller.a
             return np.zeros(len(controller_a), dtype=REALS[self.real])
         scale = self.controller.scale
-        read = _evaluate_inverse_map(points.outward, scale.scaled_output(output))
+        read = evaluate_inverse_map(points.outward, scale.scaled_output(output))
         return evaluate_equilibrium_map(
             points.at_rest, evaluate_equilibrium_map(points.to_lifted, read)
         )
@@ -271,13 +156,13 @@ class DeviceController:
         u = np.clip(requested, self.lower, self.upper)
         # The observer uses the input that was applied.
         applied = controller.scale.scaled_input(u)
-        lifted = _evaluate_static_map(controller.s_in, applied)
+        lifted = evaluate_static_map(controller.s_in, applied)
         measured = controller.scale.scaled_output(measured_output)
         start = multiply_in_order(controller.c, state)
         read = multiply_in_order(controller.d, lifted, start)
         if neurons and neurons.h.any():
             read = multiply_in_order(neurons.h, neurons(state, lifted), read)
-        error = _evaluate_static_map(controller.s_out, read) - measured
+        error = evaluate_static_map(controller.s_out, read) - measured
         following = multiply_in_order(controller.a, state)
         following = multiply_in_order(controller.b, lifted, following)
         following = multiply_in_order(controller.l, error, following)
@@ -314,16 +199,18 @@ class DeviceController:
                 "v": np.zeros(inputs, real),
                 "w": np.zeros(outputs, real),
             }
-        wanted_output = _evaluate_inverse_map(points.outward, scale.scaled_output(set_point))
+        wanted_output = evaluate_inverse_map(points.outward, scale.scaled_output(set_point))
         wanted_mapped = evaluate_equilibrium_map(points.to_lifted, wanted_output)
-        wanted_input = _evaluate_inverse_map(points.inward, wanted_mapped)
-        requested = scale.physical_input(wanted_input)
-        u = np.clip(requested, self.lower, self.upper)
-        v = scale.scaled_input(u)
-        lifted = _evaluate_static_map(controller.s_in, v)
+        v, lifted = np.zeros(len(controller.k), real), wanted_mapped
+        if points.inward is not None:
+            wanted_input = evaluate_inverse_map(points.inward, wanted_mapped)
+            requested = scale.physical_input(wanted_input)
+            u = np.clip(requested, self.lower, self.upper)
+            v = scale.scaled_input(u)
+            lifted = evaluate_static_map(controller.s_in, v)
         x = evaluate_equilibrium_map(points.at_rest, lifted)
         mapped_output = evaluate_equilibrium_map(points.seen, lifted)
-        w = _evaluate_static_map(controller.s_out, mapped_output)
+        w = evaluate_static_map(controller.s_out, mapped_output)
         return {"x": x, "v": v, "w": w}
 
     def recomputed_inputs(
@@ -370,30 +257,3 @@ def _count_equilibrium_multiplications(equilibrium_map: Any) -> int:
     if isinstance(equilibrium_map, PiecewiseLinear):
         return equilibrium_map.slopes.shape[1]
     return equilibrium_map.size
-
-
-def _evaluate_static_map(static_map: PortableMap, v: Vector) -> Vector:
-    """Value of a static map, computed in the same order of operations as in the C code."""
-    out = multiply_in_order(static_map.linear, v)
-    if static_map.network is None:
-        return out
-    d = v
-    for w, b, low, high in static_map.network.hidden_layers():
-        z = multiply_in_order(w, d, b)
-        slopes_at_zero = np.where(b >= 0, high, low)
-        at_zero = slopes_at_zero * b
-        activated = np.where(z >= 0, high * z, low * z)
-        d = activated - at_zero
-    last_weight = static_map.network.weights[-1]
-    return multiply_in_order(last_weight, d, out)
-
-
-def _evaluate_inverse_map(inverse_map: InverseMap, w: Vector) -> Vector:
-    """Value of the inverse of a static map, computed in the same order of operations as in the C
-    code.
-
-    Channel by channel the order is that already; for a product `@` promises none.
-    """
-    if inverse_map.matrix is None:
-        return inverse_map(w)
-    return multiply_in_order(inverse_map.matrix, w)

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.bounds.network import PortableMap
+from ssm_study.bounds.network import InverseMap, PortableMap
 from ssm_study.certificates.certificate import Design, Infeasible
 from ssm_study.models.structured import Model, StructuredSSM, evaluate_activations
 from ssm_study.refusal import BadRequest, require
@@ -241,6 +241,33 @@ def multiply_in_order(
         product = matrix[:, j] * value  # two roundings, as in C without contraction
         y = y + product
     return y
+
+
+def evaluate_static_map(static_map: PortableMap, v: Vector) -> Vector:
+    """Value of a static map, computed in the same order of operations as in the C code."""
+    out = multiply_in_order(static_map.linear, v)
+    if static_map.network is None:
+        return out
+    d = v
+    for w, b, low, high in static_map.network.hidden_layers():
+        z = multiply_in_order(w, d, b)
+        slopes_at_zero = np.where(b >= 0, high, low)
+        at_zero = slopes_at_zero * b
+        activated = np.where(z >= 0, high * z, low * z)
+        d = activated - at_zero
+    last_weight = static_map.network.weights[-1]
+    return multiply_in_order(last_weight, d, out)
+
+
+def evaluate_inverse_map(inverse_map: InverseMap, w: Vector) -> Vector:
+    """Value of the inverse of a static map, computed in the same order of operations as in the C
+    code.
+
+    Channel by channel the order is that already; for a product `@` promises none.
+    """
+    if inverse_map.matrix is None:
+        return inverse_map(w)
+    return multiply_in_order(inverse_map.matrix, w)
 
 
 def convert_floats(item: Any, float_type: Any) -> Any:

@@ -133,7 +133,8 @@ LOST = Verdict(
 )  # fmt: skip
 UNTRIED = Verdict(
     "certified, not tried",
-    "both certificates hold; the model answers its input at once, so no loop is closed on it",
+    "both certificates hold; the model answers its input at once, so no loop is closed on it "
+    "(model.feedthrough=false makes a model that has one)",
     style.SKY, "<", "triangle-left", "bold yellow",
 )  # fmt: skip
 UNCERTIFIED = Verdict(

@@ -27,7 +27,8 @@ def choose_delay(search: SettingsSearch, data: DataSet) -> None:
     """Choose the dead time of a model, or a feedthrough without dead time, by cross-validation.
 
     The samples until the output answers are read off the records. A dead time is compared where
-    they are `LATE` or more, a direct path where they are none or one, or noise hides the answer.
+    they are `LATE` or more, a direct path where they are none, or noise hides the answer: where the
+    output surely answers one sample later, a direct path only stands in for what the model lacks.
     """
     lag = response_delay(data)
     if search.is_undecided("dead_time"):
@@ -35,7 +36,7 @@ def choose_delay(search: SettingsSearch, data: DataSet) -> None:
         values = (0, lag - 1) if lag is not None and late else (0,)
         choose_between_two_values(search, "dead time", "dead_time", values, DELAY_GAIN)
     if search.is_undecided("feedthrough"):
-        values = (False, True) if lag is None or lag < LATE - 1 else (False,)
+        values = (False, True) if lag in (None, 0) else (False,)
         choose_between_two_values(search, "direct path", "feedthrough", values, DIRECT_GAIN)
 
 
