@@ -125,17 +125,26 @@ def _integrating_set_points(
     directions = null_space(lost, rcond=tolerance)
     gain = model.c @ directions
     outputs, integrators = gain.shape
-    if integrators != outputs or np.linalg.matrix_rank(gain, tol=IDLE) < outputs:
+    if integrators != outputs:
         return None
-    states = directions @ np.linalg.inv(gain)
+    told_apart = np.linalg.matrix_rank(gain, tol=IDLE)
+    if told_apart < outputs:
+        return None
+    inverse_gain = np.linalg.inv(gain)
+    states = directions @ inverse_gain
+    at_rest = _pad_internal_states(states, internal_states)
     unit = np.eye(outputs)
     return SetPoints(
-        to_lifted=unit,
-        at_rest=np.pad(states, ((0, internal_states), (0, 0))),
-        seen=unit,
-        inward=None,
-        outward=inverse_output_map,
+        to_lifted=unit, at_rest=at_rest, seen=unit, inward=None, outward=inverse_output_map
     )
+
+
+def _pad_internal_states(
+    states: Float[np.ndarray, "n k"], internal_states: int
+) -> Float[np.ndarray, "N k"]:
+    """States of a model at rest, with zeros below for a controller's internal model."""
+    below = (0, internal_states)
+    return np.pad(states, (below, (0, 0)))
 
 
 def _linear_set_points(
@@ -150,11 +159,14 @@ def _linear_set_points(
     if model.integrates:
         return None
     tol = IDLE * np.linalg.norm(gain)
-    if np.linalg.matrix_rank(gain, tol=tol) < len(gain):
+    reached_outputs = np.linalg.matrix_rank(gain, tol=tol)
+    if reached_outputs < len(gain):
         return None
+    to_lifted = np.linalg.pinv(gain)
+    at_rest = _pad_internal_states(states, internal_states)
     return SetPoints(
-        to_lifted=np.linalg.pinv(gain),
-        at_rest=np.pad(states, ((0, internal_states), (0, 0))),
+        to_lifted=to_lifted,
+        at_rest=at_rest,
         seen=gain,
         inward=inverse_input_map,
         outward=inverse_output_map,
@@ -170,17 +182,18 @@ def _interpolated_set_points(
     """Maps between set points and equilibria of a model with neurons, by interpolation between
     every second of the tabulated equilibria. The others show the error."""
     lifted = full.lifted[::2]
-    equilibrium_curve_read = full.read[::2]
-    stored = EquilibriumCurve(lifted=lifted, x=full.x[::2], read=equilibrium_curve_read)
-    below = states_of_controller - stored.x.shape[1]
-    states = np.pad(stored.x, ((0, 0), (0, below)))
-    output_map = PiecewiseLinear.from_points(stored.lifted, stored.read[:, None])
+    read = full.read[::2]
+    x = full.x[::2]
+    below = states_of_controller - x.shape[1]
+    states = np.pad(x, ((0, 0), (0, below)))
+    output_map = PiecewiseLinear.from_points(lifted, read[:, None])
     errors = []
-    for v, read in zip(full.lifted, full.read, strict=True):
-        on_line = float(output_map(v[None])[0])
-        errors.append(abs(on_line - read))
-    to_lifted = PiecewiseLinear.from_points(stored.read, stored.lifted[:, None])
-    at_rest = PiecewiseLinear.from_points(stored.lifted, states)
+    for v, exact in zip(full.lifted, full.read, strict=True):
+        on_line = output_map(v[None])
+        error = float(on_line[0]) - exact
+        errors.append(abs(error))
+    to_lifted = PiecewiseLinear.from_points(read, lifted[:, None])
+    at_rest = PiecewiseLinear.from_points(lifted, states)
     return SetPoints(
         to_lifted=to_lifted,
         at_rest=at_rest,
@@ -195,4 +208,6 @@ def _mapped_limit(controller: PortableController, limit: Vector) -> float:
     """Value of the controller's static input map at an input limit."""
     u = limit.astype(float)
     scaled = controller.scale.scaled_input(u)
-    return float(evaluate_static_map(controller.s_in, np.clip(scaled, -WIDEST, WIDEST))[0])
+    within = np.clip(scaled, -WIDEST, WIDEST)
+    lifted = evaluate_static_map(controller.s_in, within)
+    return float(lifted[0])

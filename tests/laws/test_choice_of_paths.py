@@ -39,8 +39,13 @@ def test_a_direct_path_is_compared_where_the_answer_is_not_surely_later(
     output: object, compared: tuple[bool, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = data_set(noise=0.02, samples=250, records=4)
-    records = tuple(replace(one, y=output(one)) for one in data.training)  # type: ignore[operator]
-    changed_data = replace(data, training=records, validation=records[:1])
+    records = []
+    for record in data.training:
+        y = output(record)  # type: ignore[operator]
+        changed = replace(record, y=y)
+        records.append(changed)
+    training = tuple(records)
+    changed_data = replace(data, training=training, validation=training[:1])
     search = SettingsSearch(spec=SPEC, folds=(), seed=0, announce=lambda _: None)
     values_of = {}
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
-import scipy
 from export_cases import compiled, device, products, written
 from report_runs import KINDS, random_scaffold
 
@@ -20,8 +19,6 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.cli.main import main
 from ssm_study.export.c import escape_comment, render_c_files
 from ssm_study.export.device import DeviceController
-from ssm_study.export.portable import convert_floats, evaluate_static_map
-from ssm_study.export.set_point_maps import REALS
 from ssm_study.export.targets import load_controller, prove_deployed_rates, render_c_sources
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.trajectory import set_point_equilibria
@@ -61,11 +58,11 @@ def test_c_equals_the_law_to_the_last_digit(tmp_path: Path, kind: str, real: str
     "words", [("-std=c++17", "-x", "c++"), ("-fsanitize=address,undefined", "-O0")]
 )
 def test_as_cpp_and_under_sanitizers(tmp_path: Path, words: tuple[str, ...]) -> None:
-    folder = written(
-        device(tmp_path, kind="monotone", channels=2, real="float", integral=True), tmp_path / "c"
-    )
+    made = device(tmp_path, kind="monotone", channels=2, real="float", integral=True)
+    folder = written(made, tmp_path / "c")
     compiler = "g++" if "c++" in words else "gcc"
-    assert compiled(folder, *words, compiler=compiler).startswith("0 of 400 inputs differ")
+    text = compiled(folder, *words, compiler=compiler)
+    assert text.startswith("0 of 400 inputs differ")
 
 
 def test_a_wrong_number_is_seen(tmp_path: Path) -> None:
@@ -73,7 +70,8 @@ def test_a_wrong_number_is_seen(tmp_path: Path) -> None:
     text = (folder / "controller.h").read_text()
     gain = re.search(r"controller_k\[\d+\] = \{(\S+?),", text)
     assert gain
-    (folder / "controller.h").write_text(text.replace(gain[1], f"1.001 * {gain[1]}"))
+    wrong_text = text.replace(gain[1], f"1.001 * {gain[1]}")
+    (folder / "controller.h").write_text(wrong_text)
     with pytest.raises(AssertionError, match=r"of 200 inputs differ"):
         compiled(folder, "-std=c99")
 
@@ -314,67 +312,10 @@ def test_refusals(tmp_path: Path) -> None:
         device(tmp_path / "half", kind="linear", real="half")
     coupled = device(tmp_path / "two", kind="mlp", channels=2)
     assert coupled.set_point_maps is None
-    header = render_c_files(coupled, origin_text="")["controller.h"]
+    files = render_c_files(coupled, origin_text="")
+    header = files["controller.h"]
     assert "No set points: a map couples channels." in header
-    assert (
-        "controller_track(controller_state"
-        not in render_c_files(coupled, origin_text="")["controller.h"]
-    )
-
-
-def integrating_device(folder: Path, kind: str, real: str = "double") -> DeviceController:
-    """Device for a model whose output is a running sum, with LQR gains."""
-    made = device(folder, kind=kind, real=real)
-    old = made.controller
-    n = len(old.a)
-    a = np.block([[old.a, np.zeros((n, 1))], [0.1 * old.c, np.ones((1, 1))]])
-    b = np.vstack([old.b, np.zeros((1, 1))])
-    c = np.eye(1, n + 1, n)
-    gains = {}
-    for name, into in (("k", b), ("l", c.T)):
-        turned = a if name == "k" else a.T
-        p = scipy.linalg.solve_discrete_are(turned, into, np.eye(n + 1), np.eye(1))
-        gain = -np.linalg.solve(np.eye(1) + into.T @ p @ into, into.T @ p @ turned)
-        gains[name] = gain if name == "k" else gain.T
-    zeros = {"d": np.zeros((1, 1)), "e": np.zeros((n + 1, 1))}
-    matrices = {"a": a, "b": b, "c": c} | gains | zeros
-    controller = convert_floats(replace(old, **matrices), old.a.dtype)
-    return replace(made, controller=controller)
-
-
-@pytest.mark.parametrize("real", ["double", "float"])
-@pytest.mark.parametrize("kind", ["linear", "monotone"])
-def test_an_integrating_output_is_brought_to_any_set_point(
-    tmp_path: Path, kind: str, real: str
-) -> None:
-    """It stays there with the input at its equilibrium, also where the limits act on the way."""
-    made = integrating_device(tmp_path, kind, real)
-    assert made.no_set_points_reason == ""
-    folder = written(made, tmp_path / "c")
-    assert compiled(folder, "-std=c99").startswith("0 of 200")
-    scale = made.controller.scale
-    (start, aim) = (scale.physical_output(np.array([level])) for level in (-3.0, 40.0))
-    plant = convert_floats(made, np.float64)
-    state = plant.equilibrium_state(start)
-    x = made.equilibrium_state(start.astype(REALS[real]))
-    inputs = []
-    for _ in range(4000):
-        w = evaluate_static_map(plant.controller.s_out, plant.controller.c @ state)
-        y = scale.physical_output(w).astype(REALS[real])
-        u, x = made.compute_step(x, y, aim.astype(REALS[real]))
-        inputs.append(u)
-        v = evaluate_static_map(plant.controller.s_in, scale.scaled_input(u.astype(float)))
-        state = plant.controller.a @ state + plant.controller.b @ v
-    assert y == pytest.approx(aim, rel=1e-3)
-    assert inputs[-1] == pytest.approx(scale.physical_input(np.zeros(1)), abs=1e-3)
-    assert any(u == made.upper or u == made.lower for u in inputs)
-
-
-def test_an_integrator_that_the_output_does_not_tell_has_no_set_points(tmp_path: Path) -> None:
-    made = integrating_device(tmp_path, "linear")
-    hidden = np.eye(1, len(made.controller.a))
-    blind = replace(made, controller=replace(made.controller, c=hidden))
-    assert blind.no_set_points_reason.startswith("the model integrates, but not")
+    assert "controller_track(controller_state" not in header
 
 
 def test_why_a_linear_model_has_no_set_points(tmp_path: Path) -> None:

@@ -283,7 +283,8 @@ def test_an_output_that_two_rest_points_share_has_no_set_points(tmp_path: Path) 
 def test_an_integrator_holds_every_output_where_no_neuron_reads_it(
     tmp_path: Path, read_by_neuron: float, holds: bool
 ) -> None:
-    made = load_controller(structured_run(tmp_path / "run", ("tanh",), 0.0))
+    run = structured_run(tmp_path / "run", ("tanh",), 0.0)
+    made = load_controller(run)
     a = made.a.copy()
     a[:, -1] = (0.0, 0.0, 1.0)
     assert made.neurons is not None
@@ -291,13 +292,16 @@ def test_an_integrator_holds_every_output_where_no_neuron_reads_it(
     f[:, -1] = read_by_neuron
     neurons = replace(made.neurons, f=f)
     integrating = replace(made, a=a, neurons=neurons)
-    ends = [made.scale.physical_input(np.array([end])) for end in (-0.5, 0.5)]
-    device = DeviceController.from_controller(integrating, "double", *ends)
+    limit = np.full(1, 0.5)
+    device = DeviceController.from_controller(integrating, "double", -limit, limit)
     points = device.set_point_maps
-    assert (points is not None and points.inward is None) == holds
+    is_held = points is not None and points.inward is None
+    assert is_held == holds
     if points is not None and holds:
-        at_rest = np.array([0.0, 0.0, 1.0]) / made.c[0, -1]
-        np.testing.assert_allclose(points.at_rest[:, 0], at_rest)
+        shown = made.c[0, -1]
+        at_rest = np.array([0.0, 0.0, 1.0]) / shown
+        states = points.at_rest[:, 0]
+        np.testing.assert_allclose(states, at_rest)
 
 
 def test_the_limits_of_a_one_sided_log_leave_room_to_rest(tmp_path: Path) -> None:
