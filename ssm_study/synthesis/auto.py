@@ -189,7 +189,6 @@ class Auto:
             limits=self.limits,
             margin=self.margin,
             decays=self.decays,
-            is_brief=has_neurons and not is_asked,
         )
         rounds = ROUNDS_ASKED if is_asked else ROUNDS
         unasked = SLOWER_WITH_NEURONS if has_neurons else SLOWER

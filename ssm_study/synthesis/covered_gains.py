@@ -31,14 +31,18 @@ from ssm_study.synthesis.expected_response import FASTER
 from ssm_study.synthesis.integrated_error import relative_response_areas
 from ssm_study.synthesis.measured_discs_choice import LoopCoverage, coverage_overestimate_factor
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
-from ssm_study.systems import Gains, JacobianBalls
+from ssm_study.synthesis.slope_search import (
+    FIRST_STEP,
+    LARGEST_STEP,
+    LENGTHEN,
+    SHORTEN,
+    SMALLEST_STEP,
+    ScoredGains,
+    SlopeSearch,
+)
+from ssm_study.systems import Gains, JacobianBalls, StructuredSystem
 
 PROPOSALS = 8  # pairs of gains in one round
-FIRST_STEP = 0.15  # standard deviation of the logarithm of each entry's factor
-LARGEST_STEP = 0.3
-SMALLEST_STEP = 0.01
-LENGTHEN = 1.4  # of the step, after a round that helped
-SHORTEN = 0.75  # and after one that did not
 CERTIFICATES = 3  # proofs of coverage tried
 MORE = 1.01  # by which the search aims beyond what the last proof lost
 LEAST_PROVED = 0.8  # of the target: what proves less is no small loss
@@ -47,31 +51,13 @@ SEED = 0
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScoredGains:
-    """Gains with two scores: area under their response on the model relative to the open loop, and
-    coverage (ratio of proved to recorded model error)."""
-
-    gains: Gains
-    area: float
-    coverage: float
-
-    def is_better_than(self, other: "ScoredGains", aimed_coverage: float) -> bool:
-        """Whether gains tolerate a larger model error than other gains or, if both tolerate enough,
-        respond faster."""
-        smaller_coverage = min(self.coverage, other.coverage)
-        if smaller_coverage >= aimed_coverage:
-            return self.area < other.area
-        return self.coverage > other.coverage
-
-
-@dataclass(frozen=True, kw_only=True)
 class GainSearch:
     """Random search near the gains of a design for gains that tolerate a larger model error or
     respond faster.
 
     `largest_area` is the slowest response allowed, in areas of the open loop on the model; `margin`
-    the stability margin that the prediction must exceed. A search that `is_brief` ends where its
-    aim is met, without rounds that make the gains faster, and tries one proof.
+    the stability margin that the prediction must exceed. For a model with neurons, where one
+    coverage takes half a second, the slopes of coverage guide the search (`slope_search`).
     """
 
     model: Model
@@ -82,7 +68,6 @@ class GainSearch:
     limits: Ends | None
     margin: float
     decays: Float[np.ndarray, "N T p"] = field(default_factory=lambda: NO_DECAYS)
-    is_brief: bool = False
 
     def improve_design(
         self, start_design: Design, target_coverage: float, rounds: int, largest_area: float
@@ -96,8 +81,7 @@ class GainSearch:
         """
         wanted_coverage = coverage_overestimate_factor(self.model) * target_coverage
         proved_gains: Gains | None = None
-        certificates = 1 if self.is_brief else CERTIFICATES
-        for _ in range(certificates):
+        for _ in range(CERTIFICATES):
             best = self.search_best_gains(start_design, wanted_coverage, rounds, largest_area)
             nothing_better = proved_gains is not None and has_equal_gains(best.gains, proved_gains)
             if best.coverage < target_coverage or nothing_better:
@@ -143,12 +127,24 @@ class GainSearch:
         best = ScoredGains(gains=start_design.gain_pair, area=area, coverage=coverage)
         allowed = max(largest_area, area)
         random = np.random.default_rng(SEED)
-        step = FIRST_STEP
         first_gains = [start_design.gain_pair]
         first_ratios = self._settling_time_ratios(first_gains)
         slowest = max(FASTER, first_ratios[0])
+        if isinstance(self.model.system, StructuredSystem):
+            guided = SlopeSearch(
+                loop=loop,
+                centre=centre,
+                aimed_coverage=aimed_coverage,
+                largest_area=allowed,
+                response_areas=self._response_areas,
+                is_acceptable=lambda gains: self._is_acceptable(gains, slowest),
+                evaluations=rounds * PROPOSALS,
+                random=random,
+            )
+            return guided.search_from(best)
+        step = FIRST_STEP
         reached = [best.coverage]
-        while self._needs_another_round(reached, aimed_coverage, rounds):
+        while is_worth_another_round(reached, aimed_coverage, rounds):
             proposal_numbers = range(PROPOSALS)
             proposals = [scale_gains_at_random(best.gains, step, random) for _ in proposal_numbers]
             fast = self._faster_proposals(proposals, slowest)
@@ -161,21 +157,16 @@ class GainSearch:
             reached.append(best.coverage)
         return best
 
-    def _needs_another_round(
-        self, coverages: Sequence[float], aimed_coverage: float, rounds: int
-    ) -> bool:
-        """Whether a random search for gains continues, given the best coverage (ratio of tolerated
-        to recorded model error) after each round.
-
-        A brief search aims beyond its target in the planned rounds only: a proof often keeps what
-        lies below the aim, and is tried sooner than further rounds.
-        """
-        if not self.is_brief:
-            return is_worth_another_round(coverages, aimed_coverage, rounds)
-        if len(coverages) <= rounds:
-            return coverages[-1] < aimed_coverage
-        least_coverage = aimed_coverage / coverage_overestimate_factor(self.model)
-        return is_worth_another_round(coverages, least_coverage, rounds)
+    def _is_acceptable(self, gains: Gains, slowest_ratio: float) -> bool:
+        """Whether gains may be deployed whatever they cover: their controller is itself stable, the
+        prediction too, and recorded decays end sooner."""
+        ratios = self._settling_time_ratios([gains])
+        if ratios[0] >= slowest_ratio:
+            return False
+        if controller_spectral_radius(self.model.system, gains, self.balls) >= 1:
+            return False
+        prediction = predict_margins(self.model, gains, self.balls, self.mismatch)
+        return prediction.predicts_stability(self.margin)
 
     def _score_proposals(
         self,

@@ -9,7 +9,7 @@ docs/closed_loop.md, "Rates chosen for you".
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +23,9 @@ from ssm_study.robustness.coverage import ModelErrorSpectra
 from ssm_study.robustness.coverage_items import DiscRequirement
 from ssm_study.synthesis.measured_discs_run import seeks_coverage, uncertifiable_loop_reason
 from ssm_study.systems import JacobianBalls, StructuredSystem
+
+if TYPE_CHECKING:
+    from ssm_study.synthesis.radius_optimum import RadiusOptimum
 
 LOOKED_AT = (0, 1, 2, 4, 7, 11, 16, 23, 32, 45, 60, 85, 120, 170, 240, 320)  # of one layer
 WITH_NEURONS = (0, 3, 10, 25)  # each takes a second
@@ -78,12 +81,10 @@ def choose_covering_design(
 
     deciding: dict[float, Any] = {}
 
-    def compute_coverage(design: Design, least_coverage: float) -> float:
+    def compute_coverage(design: Design, least: float) -> float:
         """Coverage of one design (ratio of tolerated to recorded model error), computed frequency
         by frequency."""
-        return tolerated_disc_radius(
-            design, model, balls, premise, target, least_coverage, deciding
-        )
+        return tolerated_disc_radius(design, model, balls, premise, target, least, deciding)
 
     covered = walk.first_covered_design(compute_coverage, NEAR)
     if covered is not None:
@@ -232,6 +233,14 @@ class LoopCoverage:
     ) -> float:
         """Largest radius of a disc of model errors, with a given centre, that given gains tolerate.
         If it is below `least_radius`, it may be an upper bound."""
+        optimum = self.radius_optimum_at_centre(gains, centre, least_radius)
+        return 0.0 if optimum is None else optimum.radius
+
+    def radius_optimum_at_centre(
+        self, gains: dict[str, Any], centre: float, least_radius: float = 0.0
+    ) -> "RadiusOptimum | None":
+        """Largest disc of model errors, with a given centre, that given gains tolerate; None if
+        they tolerate none. If it is below `least_radius`, it may be an upper bound."""
         from ssm_study.synthesis.measured_discs_program import LoopForms
         from ssm_study.synthesis.measured_discs_search import select_theorem
         from ssm_study.synthesis.measured_discs_weights import (
@@ -254,16 +263,15 @@ class LoopCoverage:
             basis=WeightBasis(),
             tolerance=COARSE if is_large else JOINT,
         )
+        start_angles = self.deciding.get(centre, NO_ANGLES)
         try:
             with linear_algebra_failures_as_no_solution():
-                nu, _, deciding = program.maximise_radius_from(
-                    self.deciding.get(centre, NO_ANGLES), least_radius**2
-                )
+                optimum = program.maximise_radius_from(start_angles, least_radius**2)
         except NoSolution:
-            return 0.0
+            return None
         if is_large:
-            self.deciding[centre] = deciding
-        return float(max(nu, 0.0) ** 0.5)
+            self.deciding[centre] = optimum.deciding_angles
+        return optimum
 
     def largest_disc_radius(
         self, gains: dict[str, Any], sufficient_radius: float = np.inf, least_radius: float = 0.0

@@ -35,6 +35,7 @@ FormsOverAngles = Complex[np.ndarray, "F G G"]
 ConstraintRows = Float[np.ndarray, "R n"]
 Bounds = Float[np.ndarray, "R"]
 HermitianForms = Complex[np.ndarray, "n G G"]
+Duals = Complex[np.ndarray, "D G G"]
 
 # Even steps too: those of the geometric row are 0.09 wide near pi, wider than a loop's dip there.
 GRID = np.union1d(np.geomspace(1e-4, np.pi, 300), np.linspace(0, np.pi, 257))
@@ -44,7 +45,7 @@ ROUNDS = 12
 VIOLATED = 1e-9  # a smallest eigenvalue below minus this, where |e|^2 counts one, violates
 SOLVED = 1e-7  # by the solver, where angles may miss by more
 IDLE = 0.1  # a smallest eigenvalue above this decides nothing
-SMALL = 4  # matrices up to this size are left to Clarabel, which is as fast there
+SMALL = 3  # matrices up to this size are left to Clarabel, which is as fast there
 MOST = 1e8  # of a multiplier, in units where its form is of the size of |e|^2
 Forms = Complex[np.ndarray, "A F G G"]
 
@@ -291,26 +292,40 @@ class FrequencyProgram:
         deciding leave again. Fewer angles give an upper bound of the goal: once it is below
         `least_goal`, it is returned in place of the optimum.
         """
-        count = len(self.constant)
-        chosen = list(first_angles) or _evenly_spread_indices(count, FIRST)
-        solver_accuracy = SOLVED if accuracy > SOLVED else VIOLATED
-        x = np.zeros(len(goal))
-        for _ in range(ROUNDS):
-            x = self._maximise_at(chosen, goal, solver_accuracy)
-            if goal @ x < least_goal:
-                return x, chosen
-            lowest = self.smallest_eigenvalues(x)
-            violated = _local_minima(lowest, -accuracy)
-            fresh = [k for k in violated if k not in chosen]
-            if not fresh:
-                return x, chosen
-            deciding = [k for k in chosen if lowest[k] < IDLE]
-            chosen = deciding + fresh[:MORE]
+        x, chosen, _ = self.maximise_with_duals(goal, accuracy, first_angles, least_goal)
         return x, chosen
 
-    def _maximise_at(self, chosen: Sequence[int], goal: Unknowns, accuracy: float) -> Unknowns:
-        """Maximise a linear goal under the matrix constraints at some frequencies. Raises
-        `NoSolution`."""
+    def maximise_with_duals(
+        self,
+        goal: Unknowns,
+        accuracy: float = VIOLATED,
+        first_angles: Sequence[int] = (),
+        least_goal: float = -np.inf,
+    ) -> tuple[Unknowns, list[int], Duals | None]:
+        """Optimum of `maximise` and its dual matrices at the frequencies that decide it, where the
+        solver gives them."""
+        count = len(self.constant)
+        fresh = list(first_angles) or _evenly_spread_indices(count, FIRST)
+        solver_accuracy = SOLVED if accuracy > SOLVED else VIOLATED
+        deciding = list[int]()
+        for _ in range(ROUNDS):
+            chosen = deciding + fresh
+            x, duals = self._maximise_at(chosen, goal, solver_accuracy)
+            if goal @ x < least_goal:
+                break
+            lowest = self.smallest_eigenvalues(x)
+            violated = _local_minima(lowest, -accuracy)
+            fresh = [k for k in violated if k not in chosen][:MORE]
+            if not fresh:
+                break
+            deciding = [k for k in chosen if lowest[k] < IDLE]
+        return x, chosen, duals
+
+    def _maximise_at(
+        self, chosen: Sequence[int], goal: Unknowns, accuracy: float
+    ) -> tuple[Unknowns, Duals | None]:
+        """Maximise a linear goal under the matrix constraints at some frequencies, with their dual
+        matrices where the solver gives them. Raises `NoSolution`."""
         constant = self.constant[chosen]
         linear = self.linear[:, chosen]
         if constant.shape[-1] > SMALL:
@@ -318,12 +333,12 @@ class FrequencyProgram:
                 goal=goal, constant=constant, linear=linear, rows=self.rows, bounds=self.bounds
             )
             with suppress(NoSolution):  # else Clarabel, which takes longer
-                return program.maximise(accuracy)[0]
+                return program.maximise(accuracy)
         cones = ConeProgram(unknowns=len(goal))
         cones.add_rows(self.rows, self.bounds)
         for k in range(len(chosen)):
             cones.add_semidefinite(constant[k], linear[:, k])
-        return cones.minimise(-goal, accuracy)
+        return cones.minimise(-goal, accuracy), None
 
 
 def _evenly_spread_indices(item_count: int, chosen_count: int) -> list[int]:

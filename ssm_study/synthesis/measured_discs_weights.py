@@ -23,6 +23,7 @@ from ssm_study.synthesis.measured_discs_program import (
     LoopForms,
     form_norms,
 )
+from ssm_study.synthesis.radius_optimum import RadiusOptimum
 
 Unknowns = Float[np.ndarray, "n"]
 Angles = Float[np.ndarray, "F"]
@@ -196,16 +197,15 @@ class WeightProgram:
     def maximise_radius(self) -> tuple[float, Unknowns]:
         """Largest squared radius of the disc of model errors, with the weights and multipliers that
         reach it. Raises `NoSolution`."""
-        nu, unknowns, _ = self.maximise_radius_from()
-        return nu, unknowns
+        optimum = self.maximise_radius_from()
+        return optimum.squared_radius, optimum.unknowns
 
     def maximise_radius_from(
         self,
         start_angles: Float[np.ndarray, "D"] = NO_ANGLES,
         least_squared_radius: float = -np.inf,
-    ) -> tuple[float, Unknowns, Float[np.ndarray, "D2"]]:
-        """Largest squared radius of the disc of model errors that a loop tolerates. Returned with
-        the disc's weights, the multipliers and the deciding frequencies. Raises `NoSolution`.
+    ) -> RadiusOptimum:
+        """Largest radius of the disc of model errors that a loop tolerates. Raises `NoSolution`.
 
         The search begins at the given angles, such as those that decided similar gains. Where the
         radius is below `least_squared_radius`, an upper bound that is below it, too, is returned.
@@ -225,13 +225,20 @@ class WeightProgram:
         distances = np.abs(differences)
         nearest = distances.argmin(axis=1)
         first = np.unique(nearest).tolist()
-        x, chosen = program.maximise(goal, self.tolerance, first, least_squared_radius)
+        x, chosen, duals = program.maximise_with_duals(
+            goal, self.tolerance, first, least_squared_radius
+        )
         lowest = program.smallest_eigenvalues(x)[chosen]
         tightest = np.argsort(lowest)[:DECIDING]
         chosen_angles = self.grid.angles[chosen]
-        nu = float(x[0])
-        unknowns = x[1:] / scale
-        return nu, unknowns, chosen_angles[tightest]
+        return RadiusOptimum(
+            squared_radius=float(x[0]),
+            unknowns=x[1:] / scale,
+            basis_values=self.basis.basis_values(chosen_angles),
+            angles=chosen_angles,
+            deciding_angles=chosen_angles[tightest],
+            duals=duals,
+        )
 
     @property
     def coefficient_count(self) -> int:

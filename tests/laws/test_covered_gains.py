@@ -2,7 +2,6 @@
 where none is covered, and the choice turns to it only where the grid does not reach."""
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -164,29 +163,6 @@ def test_rounds_beyond_those_planned_follow_only_while_they_would_reach_the_targ
     assert not is_worth_another_round(steady, 1.1, rounds=2)  # 0.8 * 0.8 / 0.6 is 1.07
     assert not is_worth_another_round([0.6, 0.7, 1.1], 1.05, rounds=2)
     assert not is_worth_another_round([0.0, 0.0, 0.0], 1.05, rounds=2)
-
-
-def test_a_brief_search_ends_at_its_target_or_where_its_pace_would_not_reach_it(search) -> None:
-    brief = replace(search, is_brief=True)
-    assert brief._needs_another_round([0.6], 1.0, rounds=1)
-    assert brief._needs_another_round([0.8, 0.95], 1.03, rounds=1)  # 0.95 * 0.95 / 0.8 is 1.13
-    assert not brief._needs_another_round([0.6, 0.7], 1.0, rounds=1)  # 0.7 * 0.7 / 0.6 is 0.82
-    assert not brief._needs_another_round([0.8, 1.02], 1.03, rounds=1)  # the proof is tried first
-    assert not brief._needs_another_round([1.1], 1.0, rounds=1)
-    assert search._needs_another_round(
-        [1.1], 1.0, rounds=1
-    )  # made faster in the rounds that are left
-
-
-def test_a_brief_search_goes_on_beyond_its_planned_rounds_to_its_target(
-    search, coverage_of_grid
-) -> None:
-    brief = replace(search, is_brief=True)
-    target = 1.22 * coverage_of_grid  # two rounds reach 1.21, four 1.23
-    found = brief.search_best_gains(
-        FAST, OVERESTIMATE * target, rounds=2, largest_area=AREA_TOO_LARGE
-    )
-    assert found.coverage >= target
 
 
 def test_gains_that_fall_short_of_the_aim_but_not_of_the_target_are_proved(

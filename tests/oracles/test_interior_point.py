@@ -1,6 +1,8 @@
 """Interior-point method for Hermitian constraints: an optimum by hand, another solver, the meaning
 of its dual variables, and a program without a solution."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,35 +19,38 @@ ACCURACY = 1e-8
 
 def random_hermitian(rng: np.random.Generator, *shape: int):
     real = rng.standard_normal(shape)
-    matrices = real + 1j * rng.standard_normal(shape)
-    return matrices + np.conj(np.swapaxes(matrices, -1, -2))
+    imaginary = rng.standard_normal(shape)
+    matrices = real + 1j * imaginary
+    transposed = np.swapaxes(matrices, -1, -2)
+    return matrices + np.conj(transposed)
 
 
 def random_program(seed: int) -> HermitianProgram:
     """The unknowns in a box, and matrices that are positive at zero."""
     rng = np.random.default_rng(seed)
     box = np.eye(UNKNOWNS)
-    at_zero = 0.1 * random_hermitian(rng, BLOCKS, SIZE, SIZE)
-    return HermitianProgram(
-        goal=rng.standard_normal(UNKNOWNS),
-        constant=at_zero + 2 * np.eye(SIZE),
-        linear=random_hermitian(rng, UNKNOWNS, BLOCKS, SIZE, SIZE),
-        rows=np.concatenate([box, -box]),
-        bounds=np.full(2 * UNKNOWNS, -BOX),
-    )
+    small = random_hermitian(rng, BLOCKS, SIZE, SIZE)
+    constant = 0.1 * small + 2 * np.eye(SIZE)
+    goal = rng.standard_normal(UNKNOWNS)
+    linear = random_hermitian(rng, UNKNOWNS, BLOCKS, SIZE, SIZE)
+    rows = np.concatenate([box, -box])
+    bounds = np.full(2 * UNKNOWNS, -BOX)
+    return HermitianProgram(goal=goal, constant=constant, linear=linear, rows=rows, bounds=bounds)
 
 
 def test_the_optimum_by_hand_with_its_dual_matrix() -> None:
-    linear = np.array([[[[0, 1j], [-1j, 0]]]])
-    constant = np.eye(2)[None].astype(complex)
+    off_diagonal = np.array([[0, 1j], [-1j, 0]])
+    linear = off_diagonal[None, None]
+    identity = np.eye(2, dtype=complex)
+    constant = identity[None]
     far = np.array([-10.0])
     row = -np.ones((1, 1))
-    program = HermitianProgram(
-        goal=np.ones(1), constant=constant, linear=linear, rows=row, bounds=far
-    )
+    goal = np.ones(1)
+    program = HermitianProgram(goal=goal, constant=constant, linear=linear, rows=row, bounds=far)
     x, dual = program.maximise(ACCURACY)
     np.testing.assert_allclose(x, [1.0], atol=1e-6)
-    expected = np.array([[1, -1j], [1j, 1]]) / 2
+    hermitian = np.array([[1, -1j], [1j, 1]])
+    expected = hermitian / 2
     np.testing.assert_allclose(dual[0], expected, atol=1e-6)
 
 
@@ -58,9 +63,12 @@ def test_another_solver_finds_the_same_optimum(seed) -> None:
         cones.add_semidefinite(program.constant[k], program.linear[:, k])
     expected = cones.minimise(-program.goal)
     x, _ = program.maximise(ACCURACY)
-    np.testing.assert_allclose(program.goal @ x, program.goal @ expected, rtol=1e-6)
-    matrices = program.constant + np.tensordot(x, program.linear, axes=1)
-    assert np.linalg.eigvalsh(matrices).min() > -1e-7
+    optimum = program.goal @ x
+    assert optimum == pytest.approx(program.goal @ expected, rel=1e-6)
+    linear_part = np.tensordot(x, program.linear, axes=1)
+    matrices = program.constant + linear_part
+    eigenvalues = np.linalg.eigvalsh(matrices)
+    assert eigenvalues.min() > -1e-7
 
 
 def test_the_dual_matrices_are_slopes_of_the_optimum() -> None:
@@ -71,17 +79,18 @@ def test_the_dual_matrices_are_slopes_of_the_optimum() -> None:
     optima = []
     for step in (1e-3, -1e-3):
         constant = program.constant + step * change
-        moved = HermitianProgram(**{**vars(program), "constant": constant})
+        moved = replace(program, constant=constant)
         x, _ = moved.maximise(ACCURACY)
         optima.append(program.goal @ x)
-    slope = (optima[0] - optima[1]) / 2e-3
-    expected = (dual * np.conj(change)).sum().real
-    np.testing.assert_allclose(slope, expected, rtol=1e-3)
+    difference = optima[0] - optima[1]
+    products = dual * np.conj(change)
+    expected = 2e-3 * products.sum().real
+    assert difference == pytest.approx(expected, rel=1e-3)
 
 
 def test_constraints_that_contradict_each_other_have_no_solution() -> None:
     program = random_program(0)
     beyond_the_box = np.full(2 * UNKNOWNS, BOX)
-    contradictory = HermitianProgram(**{**vars(program), "bounds": beyond_the_box})
+    contradictory = replace(program, bounds=beyond_the_box)
     with pytest.raises(NoSolution):
         contradictory.maximise(ACCURACY)

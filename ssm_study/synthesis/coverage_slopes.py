@@ -1,0 +1,123 @@
+"""Slopes of a loop's coverage along its gains, and what they predict of further gains.
+
+At the optimum of the program for weights, multipliers and kappa, `F_k(x; gains) >= 0` at the angles
+`w_k`, the dual matrices Z_k say how the optimum changes with the gains:
+
+    d nu / d gain = sum_k <Z_k, dF_k / d gain>,    nu = kappa^2
+
+so one solution gives the slopes along all entries of K and L. The optimum is the least of many
+smooth functions, with a kink where they meet. So the prediction is the smallest of those by the
+slopes at several gains, as in bundle methods (Kiwiel, Methods of Descent for Nondifferentiable
+Optimization, 1985). Source: docs/theory.md, "Measured discs".
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from ssm_study.synthesis.measured_discs_choice import LoopCoverage
+from ssm_study.synthesis.measured_discs_program import LoopForms
+from ssm_study.synthesis.measured_discs_search import select_theorem
+from ssm_study.systems import Gains
+
+CHANGE = 1e-4  # of each entry, relative, for the slope of the matrices
+LATEST = 12  # samples by which coverage is predicted
+SMALLEST_COVERAGE = 1e-6  # whose logarithm stands for no coverage
+
+Position = Float[np.ndarray, "n"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainCoordinates:
+    """Coordinates of gains: the logarithms of all entries of K and L, over those of first gains."""
+
+    first: Gains
+
+    @property
+    def matrices(self) -> dict[str, Float[np.ndarray, "r c"]]:
+        """Gain matrices of the first gains by symbol, without those that are absent."""
+        first = self.first
+        named = {"k": first.k, "l": first.l, "l_z": first.l_z}
+        return {name: matrix for name, matrix in named.items() if matrix is not None}
+
+    @property
+    def count(self) -> int:
+        """Number of entries of all gain matrices."""
+        return sum(matrix.size for matrix in self.matrices.values())
+
+    def matrices_at(self, position: Position) -> dict[str, Float[np.ndarray, "r c"]]:
+        """Gain matrices by symbol at given coordinates."""
+        factors = np.exp(position)
+        start = 0
+        moved = {}
+        for name, matrix in self.matrices.items():
+            own_factors = factors[start : start + matrix.size]
+            moved[name] = matrix * own_factors.reshape(matrix.shape)
+            start += matrix.size
+        return moved
+
+    def gains_at(self, position: Position) -> Gains:
+        """Gains at given coordinates."""
+        return replace(self.first, **self.matrices_at(position))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoverageSample:
+    """Logarithm of the coverage at one position, and its slopes along all coordinates."""
+
+    position: Position
+    log_coverage: float
+    slopes: Position
+
+    def log_coverage_at(self, position: Position) -> float:
+        """Logarithm of the coverage at another position, by the slopes at this one."""
+        return float(self.log_coverage + self.slopes @ (position - self.position))
+
+
+def sample_coverage(
+    loop: LoopCoverage,
+    coordinates: GainCoordinates,
+    position: Position,
+    centre: float,
+    least_radius: float = 0.0,
+) -> CoverageSample | None:
+    """Coverage of the gains at a position, with its slopes; None where the solver gives none. Below
+    `least_radius` both may be those of an upper bound."""
+    matrices = coordinates.matrices_at(position)
+    optimum = loop.radius_optimum_at_centre(matrices, centre, least_radius)
+    if optimum is None or optimum.duals is None:
+        return None
+
+    def constrained_at(moved: Position) -> Complex[np.ndarray, "A G G"]:
+        """Constrained matrices of moved gains at the weights and multipliers of the optimum."""
+        context = replace(loop.context, gains=coordinates.matrices_at(moved))
+        forms = LoopForms.from_context(select_theorem(context), context, (centre,))
+        return optimum.constrained_matrices(forms, centre)
+
+    duals = np.conj(optimum.duals)
+    unmoved = constrained_at(position)
+    slopes = np.zeros(coordinates.count)
+    for i in range(coordinates.count):
+        moved = position.copy()
+        moved[i] += CHANGE
+        change = (constrained_at(moved) - unmoved) / CHANGE
+        slopes[i] = (duals * change).sum().real
+    radius = max(optimum.radius, SMALLEST_COVERAGE)
+    log_slopes = slopes / (2 * radius**2)
+    log_coverage = float(np.log(radius))
+    return CoverageSample(position=position, log_coverage=log_coverage, slopes=log_slopes)
+
+
+def predict_log_coverage(
+    samples: Sequence[CoverageSample], best: CoverageSample, positions: Float[np.ndarray, "P n"]
+) -> Float[np.ndarray, "P"]:
+    """Logarithm of the coverage to expect at several positions: the smallest by the slopes of the
+    latest samples. A sample whose slopes miss the best one's coverage is raised to it."""
+    lowest = np.full(len(positions), np.inf)
+    steps = positions - best.position
+    for sample in samples[-LATEST:]:
+        at_best = max(sample.log_coverage_at(best.position), best.log_coverage)
+        lowest = np.minimum(lowest, at_best + steps @ sample.slopes)
+    return lowest
