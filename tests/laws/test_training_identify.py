@@ -19,7 +19,9 @@ from ssm_study.models.scaffolds.monotone import Monotone
 from ssm_study.models.scaffolds.residual import Residual
 from ssm_study.models.scaffolds.trainable import Trainable
 from ssm_study.models.spec import SSMSpec
+from ssm_study.models.torch_ssm import TorchSSM
 from ssm_study.signals import Scale, Trajectory, fit_percent
+from ssm_study.training.fit import roughness_penalty
 from ssm_study.training.metrics import records_fit_percent
 from ssm_study.training.optimisers import Adam, Lbfgs, Levenberg, OptimiserSpec
 from ssm_study.training.training import Training
@@ -238,6 +240,20 @@ def test_a_saturating_input_map_is_found(tmp_path: Path) -> None:
     ssm_spec = spec(hidden_width=16)
     found = settings.identify(ssm_spec, data, 0, tmp_path)
     assert records_fit_percent(found.model, data.test, data) > 98.0
+
+
+def test_the_penalty_counts_the_bends_of_both_maps() -> None:
+    bent = spec(scaffold_out=Mlp(depth=1, train_slopes=True, certified=True))
+    model = bent.build(data_set(samples=100), 0)
+    assert isinstance(model, TorchSSM)
+    torch.manual_seed(0)
+    for parameter in model.parameters():
+        torch.nn.init.normal_(parameter)
+    of_input = model.scaffold_in.roughness().item()
+    of_output = model.scaffold_out.roughness().item()
+    assert min(of_input, of_output) > 0
+    penalty = roughness_penalty(model, 0.5).item()
+    assert penalty == pytest.approx((of_input + of_output) / 2)
 
 
 def test_a_position_driven_fit_drifts_less(tmp_path: Path) -> None:
