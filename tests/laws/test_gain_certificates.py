@@ -129,6 +129,7 @@ def test_a_gain_is_compared_with_none(proof: st.Certification) -> None:
     idle = st.certify(A, B, K=0 * K, slopes=SLOPES)
     summary = idle.summary()
     assert summary["controller, without it"] == summary["controller, this gain"]
+    assert summary["controller, this gain"].startswith("provable below 0.1")
     assert proof.controller is not None
     open_loop_rate = 1 - 0.9**2
     rate_without = proof.controller.rate_without
