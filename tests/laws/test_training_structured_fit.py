@@ -173,6 +173,15 @@ def test_an_integrated_model_is_stored_with_its_integrator(data: DataSet) -> Non
     np.testing.assert_allclose(actual, y, atol=1e-9)
 
 
+def test_the_first_epoch_leaves_the_initial_parameters_as_they_are(data: DataSet) -> None:
+    spec = StructuredSpec(order=1, neurons=1, knots=0, starts=1, start_steps=(1, 1, 1))
+    fit = StructuredFit(spec, data, 0)
+    fit.training_step(None, 0)
+    assert fit.initial_parameters is not None
+    for name, block in fit.parameter_blocks.items():
+        np.testing.assert_array_equal(block, fit.initial_parameters[name])
+
+
 def test_the_damping_follows_the_share_of_the_expected_gain():
     assert damping_update_factor(0.8, 1.0) == 0.3
     assert damping_update_factor(1.5, 2.0) == 1.0
