@@ -14,33 +14,31 @@ help:
 	@echo "make docs    build the documentation site into site/, warnings are errors"
 	@echo "make clean   remove the environment and every cache (results stay)"
 
-# pip compiles each module on one core, which takes longer than to unpack it: here all cores do.
+# The modules that a process imports are compiled then and kept: less than a third of those installed.
 PIP := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
-COMPILE := $(BIN)/python -m compileall -qq -j 0 .venv/lib || true # templates among them are no Python
 
+# The pip that Python brings takes twice as long to choose releases as the one of constraints.txt.
 # torch goes first and alone: any looser request pulls gigabytes of GPU packages that a CPU does not need.
-.venv/.running: pyproject.toml constraints.txt
+.venv/.torch: constraints.txt
 	$(PYTHON) -m venv .venv
+	$(PIP) pip
 	$(PIP) torch
+	@touch $@
+
+.venv/.running: .venv/.torch pyproject.toml
 	$(PIP) --editable '.[report,export]'
 	@touch $@
 
-.venv/.compiled: .venv/.running
-	@$(COMPILE)
-	@touch $@
-
-# What checks and writes the project, on top of what runs it.
-.venv/.installed: .venv/.running
+# What checks and writes the project, and what runs it.
+.venv/.installed: .venv/.torch pyproject.toml
 	$(PIP) --editable '.[dev]'
-	@touch $@
+	@touch .venv/.running $@
 
 install: .venv/.installed
-	@$(COMPILE)
 
-study: .venv/.compiled
+study: .venv/.running
 	$(BIN)/ssm-study run experiment=paper
 
-# The linters need no library that is to be compiled: meanwhile that is done.
 # One worker more than there are cores: many tests wait for processes that they start.
 WORKERS = $$($(BIN)/python -c "import os; print(min(8, (os.cpu_count() or 1) + 1))")
 TESTS = $(BIN)/pytest -n $(WORKERS) --dist worksteal
@@ -51,9 +49,16 @@ test: lint
 test-all: lint
 	$(TESTS)
 
+# At first, what the tests import is compiled meanwhile: once, not by each worker.
+COLLECT = $(BIN)/pytest --collect-only -qq >/dev/null 2>&1; touch .venv/.collected
+
+# On a busy machine its workers may answer too late, which it calls an internal error (status 2).
+MYPY = { $(BIN)/mypy --num-workers auto || { [ $$? = 2 ] && $(BIN)/mypy; }; }
+
 lint: .venv/.installed
-	@$(COMPILE) & $(BIN)/ruff format --check . && $(BIN)/ruff check . && \
-	$(BIN)/lint-imports && $(BIN)/mypy --num-workers auto; linted=$$?; wait; exit $$linted
+	@{ [ .venv/.collected -nt .venv/.installed ] || { $(COLLECT); }; } & \
+	$(BIN)/ruff format --check . && $(BIN)/ruff check . && $(BIN)/lint-imports && \
+	$(MYPY); linted=$$?; wait; exit $$linted
 
 docs: install
 	$(BIN)/mkdocs build --strict
