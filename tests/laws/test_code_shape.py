@@ -100,4 +100,5 @@ def test_the_counter_sees_what_is_dense() -> None:
     expected = [6, 7, 22]
     assert density.statement_sizes == expected
     source = code_shape.Source(path=PACKAGE, text=text, nodes=[])
-    assert code_shape.count_wide_lines(source) == 0
+    actual = code_shape.count_wide_lines(source)
+    assert actual == 0

@@ -92,7 +92,8 @@ def test_where_less_is_covered_than_asked_for_a_covered_design_is_taken() -> Non
     known = premise(scaled_model(0.05))
     assert tolerated_disc_radius(SLOW, SSM_MODEL, BALLS, known) > 1.1
     expected = (SLOW, LESS_COVERED)
-    assert chosen(known, 1e4, designs=(SLOW,)) == expected
+    actual = chosen(known, 1e4, designs=(SLOW,))
+    assert actual == expected
     far_off = premise(scaled_model(5.0))
     expected = (FAST, NOT_COVERED)
     assert chosen(far_off, 1e4) == expected

@@ -38,7 +38,8 @@ def test_a_loop_at_the_edge_that_rests_slowly_is_not_lost(monkeypatch: pytest.Mo
     monkeypatch.setattr(sampler, "LONG_HORIZON", 12_000)
     found = random_model(133)
     assert found is not None
-    assert found.lost_within(sampler.HORIZON, 10, 133, 1.0) == 1
+    actual = found.lost_within(sampler.HORIZON, 10, 133, 1.0)
+    assert actual == 1
     assert found.lost(10, 133, 1.0) == 0
 
 

@@ -246,7 +246,8 @@ def test_a_first_log_gives_what_is_not_given(smoke_run: Path, tmp_path: Path) ->
     loudest = 2 * np.pi * loudest_line / len(last)
     deviations = [abs(loudest / angle - 1) for angle in angles]
     assert min(deviations) < 0.15
-    assert main([*command, "--upper", "1"]) == 0
+    actual = main([*command, "--upper", "1"])
+    assert actual == 0
     table = pd.read_csv(file)
     largest = table["input"].max()
     assert largest <= 1

@@ -91,7 +91,8 @@ def test_a_file_that_is_not_there_is_found() -> None:
     assert not exists("ssm_study/synthesis/nowhere.py")
     assert not defined(".synthesis.frontier.NoSuchName")
     assert not defined(".synthesis.nowhere")
-    assert named_files("see `engine/nowhere.py`") == {"engine/nowhere.py"}
+    actual = named_files("see `engine/nowhere.py`")
+    assert actual == {"engine/nowhere.py"}
 
 
 def test_seeded_faults_are_planted_in_modules_that_are_there(

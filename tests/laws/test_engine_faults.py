@@ -262,7 +262,8 @@ def test_files_that_cannot_grow_are_not_taken_for_finished(tmp_path: Path, size:
     assert not list(paths)
     status = execute_run(folder, {}, work).status
     assert status == "ok"
-    assert len((folder / "model.json").read_bytes()) == 1200
+    actual = len((folder / "model.json").read_bytes())
+    assert actual == 1200
 
 
 @pytest.fixture

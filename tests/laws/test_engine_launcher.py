@@ -272,7 +272,8 @@ def test_failed_runs_wait_for_retry_and_are_then_the_only_ones(tmp_path: Path) -
     assert sweep(tmp_path, "do=raise,work")[0] == 0
     assert sweep(tmp_path, "do=raise,work", "seed=0,1", "retry_failed=true")[0] == 0
     expected = [("failed", 2), ("ok", 1)]
-    assert sorted((record["status"], record["attempt"]) for record in records(tmp_path)) == expected
+    actual = sorted((record["status"], record["attempt"]) for record in records(tmp_path))
+    assert actual == expected
 
 
 def test_run_names_do_not_depend_on_the_launcher(tmp_path: Path) -> None:

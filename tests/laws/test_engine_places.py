@@ -24,7 +24,8 @@ def test_without_a_place_for_compiled_code_there_is_a_warning_and_a_result() -> 
     ended = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True)
     expected = (0, "(0.0, 1.0)\n")
     assert (ended.returncode, ended.stdout) == expected, ended.stderr
-    assert ended.stderr.count("NUMBA_CACHE_DIR") == 1
+    actual = ended.stderr.count("NUMBA_CACHE_DIR")
+    assert actual == 1
 
 
 DRAWN = """

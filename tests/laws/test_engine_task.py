@@ -162,6 +162,7 @@ def test_what_solves_and_what_trains_is_imported_where_several_jobs_do(
     again: set[str], solver: int, trainer: int
 ) -> None:
     modules = list(modules_to_preload(again))
-    assert modules.count("ssm_study.synthesis.lmi") == solver
+    actual = modules.count("ssm_study.synthesis.lmi")
+    assert actual == solver
     assert modules.count("ssm_study.training.fit") == trainer
     assert modules.count("ssm_study.loop.rollout") == 1

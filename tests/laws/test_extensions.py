@@ -80,7 +80,8 @@ def test_a_theorem_in_a_package_of_ones_own_is_found_by_the_name_of_its_file(
     assert theorem.__module__ == "vertex_laboratory.proofs.vertex_feedback"
     stored = {"state_feedback": {"theorem": "vertex_feedback"}, "observer": {}}
     (tmp_path / "certificate.json").write_text(json.dumps(stored))
-    assert read_extension_theorems(tmp_path) == {"controller": "vertex_feedback"}
+    actual = read_extension_theorems(tmp_path)
+    assert actual == {"controller": "vertex_feedback"}
     for damaged in ("[1]", '{"state_feedback": null}', '{"state_feedback": 1', ""):
         (tmp_path / "certificate.json").write_text(damaged)
         assert read_extension_theorems(tmp_path) == {}
@@ -193,7 +194,8 @@ def test_a_folder_of_ones_own_runs_as_it_was_made(
         there.syspath_prepend(tmp_path)  # importable, and yet not trusted
         with pytest.raises(BadRequest, match="may not create this class"):
             refuse_foreign_targets(named)
-    assert main([*asked, "--with", "own_study"]) == 0
+    actual = main([*asked, "--with", "own_study"])
+    assert actual == 0
     trusted = {extensions.FOLDER: os.environ[extensions.FOLDER]}
     done = judge(tmp_path, tmp_path / "program", "-q", tmp_path / "own_study", **trusted)
     assert done.returncode == 0, done.stdout[-3000:]

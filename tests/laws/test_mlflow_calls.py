@@ -157,7 +157,8 @@ def test_a_run_that_was_not_written_to_its_end_is_written_again(
     export_mlflow(study)
     assert export_mlflow(study) == 0
     client.stored["a"].status = "RUNNING"
-    assert export_mlflow(study, "http://tracker") == 1
+    actual = export_mlflow(study, "http://tracker")
+    assert actual == 1
     assert client.addresses[-1] == "http://tracker"
 
 

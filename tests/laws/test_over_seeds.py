@@ -52,4 +52,5 @@ GROUPS = [([], "-"), ([2.0], "2"), ([1.0, 2.0], "1.5 ± 0.71")]
 @pytest.mark.parametrize(("values", "words"), GROUPS)
 def test_the_words_of_a_group(values: list[float], words: str) -> None:
     series = pd.Series(values, dtype=float)
-    assert mean_and_deviation_text(series) == words
+    actual = mean_and_deviation_text(series)
+    assert actual == words

@@ -207,7 +207,8 @@ def test_old_settings_are_read_and_withdrawn_ones_refused() -> None:
         renamed.current_settings(tree)
     with pytest.raises(BadRequest, match=r"training.old_weight = 0.1: was withdrawn in 0.2"):
         translate_arguments(["training.old_weight=0.1"])
-    assert translate_arguments(["training.old_weight=0.0", "seed=1"]) == ["seed=1"]
+    actual = translate_arguments(["training.old_weight=0.0", "seed=1"])
+    assert actual == ["seed=1"]
     with pytest.raises(
         BadRequest, match=r"model = old_net: was withdrawn in 0.2 .*; use model=gru"
     ):

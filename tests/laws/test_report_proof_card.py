@@ -124,5 +124,6 @@ def test_the_card_of_the_loop_says_where_the_input_left_its_limits() -> None:
     assert beyond is not None
     assert beyond.text == "starts settle without input limits"
     assert "loop.input_lower and loop.input_upper apply them" in beyond.lines[0]
-    assert exceeded_limits_text(certified(limit_lower=None), LOOP) == ""
+    actual = exceeded_limits_text(certified(limit_lower=None), LOOP)
+    assert actual == ""
     assert exceeded_limits_text(certified(), None) == "", "no recording, no range"

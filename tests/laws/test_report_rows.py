@@ -163,7 +163,8 @@ STATUSES.append(({}, "not reached"))
 
 @pytest.mark.parametrize(("record", "word"), STATUSES)
 def test_a_side_is_in_one_of_four_states(record: Record, word: str) -> None:
-    assert certificate_status_word(record, "controller") == word
+    actual = certificate_status_word(record, "controller")
+    assert actual == word
 
 
 def test_the_limit_is_that_of_the_paper_s_theorems_alone() -> None:

@@ -86,7 +86,8 @@ def test_a_plant_that_is_not_covered_is_not_proved_to_rest(design: Design) -> No
 
 def test_a_rate_other_than_the_requested_one_names_both(design: Design) -> None:
     """A rate that `auto` chose from records was asked for by nobody."""
-    assert requested_rate(design, "state_feedback") == 0.3
+    actual = requested_rate(design, "state_feedback")
+    assert actual == 0.3
     chosen = replace(design, overrides=("synthesis=auto",))
     assert requested_rate(chosen, "state_feedback") is None
     words = ("synthesis=auto", "synthesis.rate_controller=0.4")

@@ -103,7 +103,8 @@ def test_names_are_declared_once_and_patterns_cover_no_other_column() -> None:
     assert find_declaration("score_test_2") is find_declaration("score_test_*")
     assert find_declaration("stage_model_key") is not find_declaration("stage_model_seconds")
     assert find_declaration("nothing_such") is None
-    assert column_label("settling_time_mean_s") == "Mean settling time (s)"
+    actual = column_label("settling_time_mean_s")
+    assert actual == "Mean settling time (s)"
     assert column_label("nothing_such") == "nothing such"
 
 

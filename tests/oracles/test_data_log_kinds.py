@@ -61,7 +61,8 @@ def test_the_position_is_a_running_sum_that_stands_still_in_the_dead_zone():
 
 def test_one_input_of_two_is_missing_and_the_sensor_ends():
     expected = ["time_s", "u", "y"]
-    assert list(kind_named("unmeasured").log(0)) == expected
+    actual = list(kind_named("unmeasured").log(0))
+    assert actual == expected
     y = kind_named("saturating").log(0)["y"]
     expected = y.max()
     mean = (y == expected).mean()

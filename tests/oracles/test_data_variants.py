@@ -65,7 +65,8 @@ def test_a_clock_in_the_wrong_unit_is_counted_as_wrong(
     assert end == "read"
     monkeypatch.setattr(clock_column, "stated_time_unit_s", lambda *_: 1.0)
     expected = ("wrong", "step 10")
-    assert outcome(MILLISECONDS, tmp_path) == expected
+    actual = outcome(MILLISECONDS, tmp_path)
+    assert actual == expected
 
 
 def test_numbers_that_are_names_and_places_of_different_columns(tmp_path: Path) -> None:

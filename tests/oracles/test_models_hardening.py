@@ -34,7 +34,8 @@ def circle_criterion_holds(damping: float) -> bool:
 def test_a_common_metric_needs_as_much_damping_as_the_roots_differ(share: float) -> None:
     damping = share * LIMIT
     assert decays_in_one_metric(damping) == (share > 1.0)
-    assert circle_criterion_holds(damping) == (share > 1.0)
+    actual = circle_criterion_holds(damping)
+    assert actual == (share > 1.0)
 
 
 def test_feedback_of_the_velocity_adds_the_damping() -> None:

@@ -106,7 +106,8 @@ def test_every_node_and_segment_has_its_conditions():
     numbers = bilinear_loop.example_numbers(0.45)
     labels = bilinear_loop.BilinearLoop.exact_conditions(**numbers)
     text = " ".join(labels)
-    assert text.count("state feedback at node") == 6
+    actual = text.count("state feedback at node")
+    assert actual == 6
     assert text.count("observer at node") == 3
     assert text.count("coupling on segment") == 2
 

@@ -44,6 +44,7 @@ def test_one_line_of_another_mark_is_named(tmp_path: Path) -> None:
 
 
 def test_a_comma_between_cells_is_no_decimal_mark() -> None:
-    assert describe_mixed_decimals([(1, "0.1,2.5"), (2, "0.2,3.5")]) == ""
+    actual = describe_mixed_decimals([(1, "0.1,2.5"), (2, "0.2,3.5")])
+    assert actual == ""
     assert describe_mixed_decimals([(1, "0,1;2,5"), (2, "0,2;3,5")]) == ""
     assert describe_mixed_decimals([]) == ""
