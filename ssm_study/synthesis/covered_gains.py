@@ -32,6 +32,7 @@ from ssm_study.synthesis.integrated_error import relative_response_areas
 from ssm_study.synthesis.measured_discs_choice import LoopCoverage, coverage_overestimate_factor
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
 from ssm_study.synthesis.slope_search import (
+    EVALUATED,
     FIRST_STEP,
     LARGEST_STEP,
     LENGTHEN,
@@ -138,7 +139,7 @@ class GainSearch:
                 largest_area=allowed,
                 response_areas=self._response_areas,
                 is_acceptable=lambda gains: self._is_acceptable(gains, slowest),
-                evaluations=rounds * PROPOSALS,
+                evaluations=rounds * EVALUATED,
                 random=random,
             )
             return guided.search_from(best)
