@@ -323,16 +323,25 @@ def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def _compiled_by_one_worker(shared_folder: Path) -> Iterator[None]:
-    """In a fresh clone every worker needs the same machine code: one compiles it, the others read
-    what numba has stored."""
+    """In a fresh clone every worker needs the same machine code: one compiles a function, the
+    others read what numba has stored.
+
+    Each function has its own lock, and it is held while those that it calls are compiled.
+    """
     from filelock import FileLock
     from numba.core.dispatcher import Dispatcher
 
-    lock = FileLock(shared_folder / "compile.lock")
+    locks: dict[str, FileLock] = {}
     compile_or_load = Dispatcher.compile
 
     def compile_alone(dispatcher: Any, signature: Any) -> Any:
-        with lock:
+        function = dispatcher.py_func
+        if not function.__module__.startswith("ssm_study"):  # numba's own, called by one of ours
+            return compile_or_load(dispatcher, signature)
+        name = f"{function.__module__}.{function.__qualname__}"
+        if name not in locks:
+            locks[name] = FileLock(shared_folder / f"{name}.lock")
+        with locks[name]:
             return compile_or_load(dispatcher, signature)
 
     with pytest.MonkeyPatch.context() as patch:
