@@ -232,7 +232,9 @@ def test_a_library_counts_by_its_version_where_it_is_used(
 
 
 def test_a_library_under_another_name_is_found_by_its_files() -> None:
-    assert library_version("flint") == f"python-flint {version('python-flint')}"
+    installed = version("python-flint")
+    found = library_version("flint")
+    assert found == f"python-flint {installed}"
 
 
 KINDS_OF_INSTALLATION = [True, False]

@@ -355,11 +355,13 @@ def test_a_start_is_nearer_to_its_records_than_no_model(
 
 @pytest.mark.parametrize("seed", range(5))
 def test_modes_that_a_response_does_not_show_are_forgotten_within_samples(seed: int) -> None:
-    powers = 0.8 ** np.arange(40.0)
+    lags = np.arange(40.0)
+    powers = 0.8**lags
     h = powers[:, None, None]
     rng = np.random.default_rng(seed)
     system = realise_impulse_response(h, 6, rng)
     poles = np.linalg.eigvals(system.a)
-    sizes = np.sort(abs(poles))
+    moduli = np.abs(poles)
+    sizes = np.sort(moduli)
     assert sizes[-1] == pytest.approx(0.8, abs=1e-4)
     assert sizes[-2] <= 0.4

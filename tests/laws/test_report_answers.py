@@ -114,8 +114,10 @@ def test_an_answer_stands_once_with_its_plot_or_in_words_where_it_has_none() -> 
 
 @pytest.mark.parametrize(("largest", "kind"), [(9.9, None), (10.1, "log")])
 def test_an_axis_over_more_than_a_decade_is_logarithmic(largest: float, kind: str | None) -> None:
-    gains = {"rate_controller": [0.1, 0.2], "controller_gain_norm": [1.0, largest]}
-    table = pd.DataFrame(gains)
+    gains = [1.0, largest]
+    rates = [0.1, 0.2]
+    columns = {"rate_controller": rates, "controller_gain_norm": gains}
+    table = pd.DataFrame(columns)
     spec = scatter_plot_specification(RATE_COSTS, table)
     scales = [layer["encoding"]["y"]["scale"] for layer in spec["layer"]]
     kinds = {scale.get("type") for scale in scales}

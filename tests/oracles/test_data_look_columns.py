@@ -50,7 +50,8 @@ def test_an_angle_that_starts_again_is_doubted_where_the_log_is_read(tmp_path: P
 @pytest.mark.parametrize("start", [0.0, -0.5])
 def test_an_angle_may_start_at_zero_or_half_a_turn_below(turn: float, start: float) -> None:
     turns = 0.03 * np.arange(400.0)
-    angle = turn * (turns % 1.0 + start)
+    share = turns % 1.0
+    angle = turn * (share + start)
     (remark,) = angle_remarks([angle], "output")
     assert f"by a turn of {turn:.4g} in 11 places" in remark
 

@@ -140,12 +140,15 @@ def test_scatter_is_told_from_wander_in_every_unit(unit_s: float) -> None:
     white = rng.standard_normal(400)
     scatter = 0.05 * white
     rows = np.arange(400.0)
-    clock = find_scattered_clock(unit_s * (rows + scatter), [(0, 400)])
+    scattered = rows + scatter
+    whole_log = [(0, 400)]
+    clock = find_scattered_clock(unit_s * scattered, whole_log)
     assert clock is not None
     assert clock.period_s == pytest.approx(unit_s)
     running_mean = np.full(5, 0.2)
     wander = np.convolve(scatter, running_mean, "same")
-    assert find_scattered_clock(unit_s * (rows + wander), [(0, 400)]) is None
+    wandering = rows + wander
+    assert find_scattered_clock(unit_s * wandering, whole_log) is None
 
 
 @pytest.mark.parametrize("unit_s", [1e-3, 1e-6, 1e-9])

@@ -303,7 +303,8 @@ def test_a_record_without_status_or_with_a_broken_seal(
 def test_a_record_that_is_lost_is_a_pair_that_differs() -> None:
     signal = np.zeros((3, 1))
     record = Trajectory(u=signal, y=signal, step_s=0.1, name="a")
-    assert record_signal_pairs([record], []) == {"records": (1, 0)}
+    pairs = record_signal_pairs([record], [])
+    assert pairs == {"records": (1, 0)}
 
 
 def test_a_file_that_the_manifest_does_not_know_is_named(copied_run: Path) -> None:

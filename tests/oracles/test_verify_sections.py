@@ -362,7 +362,10 @@ def test_the_initial_states_of_every_proof_of_them_are_checked(
     monkeypatch.setattr(f"{place}.check_stored_initial_states", lambda part, _: part)
     part: Any = object.__new__(UnlimitedStart)
     vars(part)["starts"] = None
-    design = PARTS(extra_certificates={"unlimited": part, "coverage": PARTS(starts=None)})
+    other = PARTS(starts=None)
+    certificates = {"unlimited": part, "coverage": other}
+    design = PARTS(extra_certificates=certificates)
     model_run = PARTS(model=object.__new__(SSM))
     run = run_of(model_run=model_run, design=design)
-    assert list(check_unlimited_initial_states(run)) == [part]
+    checked = check_unlimited_initial_states(run)
+    assert list(checked) == [part]
