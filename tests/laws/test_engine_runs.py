@@ -136,18 +136,6 @@ def test_what_the_machine_did_is_tried_again_by_the_same_command(
     assert did == ("ran" if transient else "left")
 
 
-@pytest.mark.parametrize(("place", "did"), [("results/.store/a", "ran"), ("log.csv", "left")])
-def test_a_file_that_vanished_from_the_results_is_no_fault_of_the_run(
-    tmp_path: Path, place: str, did: str
-) -> None:
-    def bad(_: Run) -> None:
-        (tmp_path / place).read_bytes()
-
-    folder = tmp_path / "results" / "study" / "run"
-    execute_run(folder, {}, bad)
-    assert execute_run(folder, {}, good).did == did
-
-
 def test_a_run_that_is_stopped_is_lost_and_then_done(tmp_path: Path) -> None:
     folder = tmp_path / "study" / "run"
 
