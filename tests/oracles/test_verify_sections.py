@@ -12,7 +12,6 @@ from verify_runs import run_of
 from ssm_study.certificates.certificate import Infeasible
 from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
 from ssm_study.engine.records import VERSION
-from ssm_study.models.identified import SSM
 from ssm_study.signals import DataSet
 from ssm_study.study import claims
 from ssm_study.study.claims import (
@@ -27,7 +26,6 @@ from ssm_study.study.design_claims import (
     check_internal_model,
     check_stored_certificate,
     check_stored_initial_states,
-    check_unlimited_initial_states,
     is_coverage_search_repeated,
     lacks_coverage,
     missing_column_reasons,
@@ -352,20 +350,3 @@ def test_stored_initial_states_are_those_of_the_model_and_within_the_level(
         verdict = check_stored_initial_states(part, array)
     assert verdict.holds is holds
     assert verdict.claim == "certificate starts"
-
-
-def test_the_initial_states_of_every_proof_of_them_are_checked(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    place = "ssm_study.study.design_claims"
-    monkeypatch.setattr(f"{place}.scaled_equilibrium_states", lambda *_: None)
-    monkeypatch.setattr(f"{place}.check_stored_initial_states", lambda part, _: part)
-    part: Any = object.__new__(UnlimitedStart)
-    vars(part)["starts"] = None
-    other = PARTS(starts=None)
-    certificates = {"unlimited": part, "coverage": other}
-    design = PARTS(extra_certificates=certificates)
-    model_run = PARTS(model=object.__new__(SSM))
-    run = run_of(model_run=model_run, design=design)
-    checked = check_unlimited_initial_states(run)
-    assert list(checked) == [part]
