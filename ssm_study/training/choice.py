@@ -9,9 +9,13 @@ stays fixed. Why so, and what was tried: docs/models.md, "What the log decides".
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import islice
 
+from ssm_study.models.bilinear_spec import BilinearSpec
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet
+from ssm_study.training.candidates import Candidate
+from ssm_study.training.choice_of_leader import find_uncertified_leader, offer_leader
 from ssm_study.training.choice_of_paths import choose_delay, choose_input_path, choose_integrator
 from ssm_study.training.choice_of_products import choose_bilinear_model
 from ssm_study.training.choice_of_regression import (
@@ -29,7 +33,7 @@ from ssm_study.training.folds import make_folds
 from ssm_study.training.search import SettingsChoice, SettingsSearch, fill_in_defaults
 
 REFIT_WORDS = "; trained on the training and validation records"
-MOST_TRAINED = 3  # choices, one after the other, until a model of one is certified
+MOST_TRAINED = 3  # choices beside a leader, one after the other, until a model is certified
 
 
 def iterate_model_choices(
@@ -56,12 +60,28 @@ def iterate_model_choices(
         return
     regressions = score_regressions(search)
     predictor = choose_bilinear_model(search, data)
+    regression = None
     if predictor is None:
         regression = choose_regression(search, candidates, regressions)
-        if regression is None:
-            candidates = add_clearly_better_regression(candidates, regressions)
-        else:
-            yield search.build_settings_choice(regression)
+    if predictor is None and regression is None:
+        candidates = add_clearly_better_regression(candidates, regressions)
+    leader = find_uncertified_leader(search, candidates) if regression is None else None
+    if leader is not None:
+        yield from offer_leader(search, leader, predictor)
+    others = iterate_over_candidates(search, candidates, regression, predictor)
+    yield from islice(others, MOST_TRAINED)
+
+
+def iterate_over_candidates(
+    search: SettingsSearch,
+    candidates: list[Candidate],
+    regression: Candidate | None,
+    predictor: BilinearSpec | None,
+) -> Iterator[SettingsChoice]:
+    """Iterate over the choices that a regression and candidate models make, from the best to ones
+    that are easier to certify. A candidate whose training was not certified is removed."""
+    if regression is not None:
+        yield search.build_settings_choice(regression)
     while candidates:
         chosen = simplest_certifiable_candidate(search, candidates)
         others = models_of_other_structure(candidates, chosen)

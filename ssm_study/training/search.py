@@ -39,6 +39,8 @@ class SettingsChoice:
     `linear_kind`: the output-error or ARX model itself is to be taken, of this order and delay.
     `others` are settings of other structures that the folds cannot tell from the chosen one.
     `predictor` are those of a model with products of input and state that predicts far better.
+    With `only_if_certified` a model trained so is given up if it has no certificates; `remark`
+    tells of a model that was, or might have been.
     """
 
     spec: StructuredSpec
@@ -47,6 +49,8 @@ class SettingsChoice:
     linear_kind: str | None = None
     others: tuple[StructuredSpec, ...] = ()
     predictor: BilinearSpec | None = None
+    only_if_certified: bool = False
+    remark: str = ""
 
     def describe(self, automatic_settings: Sequence[str]) -> str:
         """Text that names the model settings chosen from the records, and the number of candidates
@@ -59,7 +63,8 @@ class SettingsChoice:
             return f"nothing, {TOO_SHORT}; the defaults: {settings}" if settings else ""
         compared = f"of {len(self.rows)} models compared on {FOLDS} folds"
         predicts = f"; {PRODUCTS} predict" if self.predictor is not None else ""
-        return f"{settings}: {compared}{predicts}"
+        remark = f"; {self.remark}" if self.remark else ""
+        return f"{settings}: {compared}{predicts}{remark}"
 
 
 def setting_text(value: object) -> str:
@@ -83,6 +88,7 @@ class SettingsSearch:
     tried: list[Candidate] = field(default_factory=list)
     chosen: list[Candidate] = field(default_factory=list)
     certified: dict[int, bool] = field(default_factory=dict)  # by identity of the candidate
+    remark: str = ""  # of a model that was given up after its training
     linear_starts: list[LinearStarts] = field(init=False)  # of each fold
 
     def __post_init__(self) -> None:
@@ -223,7 +229,12 @@ class SettingsSearch:
         spec = self._candidate_settings(candidate)
         rows = self.candidate_rows(chosen)
         return SettingsChoice(
-            spec=spec, rows=rows, error=error, linear_kind=linear_kind, others=other_specs
+            spec=spec,
+            rows=rows,
+            error=error,
+            linear_kind=linear_kind,
+            others=other_specs,
+            remark=self.remark,
         )
 
     def _candidate_settings(self, candidate: Candidate | None) -> StructuredSpec:

@@ -111,29 +111,24 @@ class Training:
         self, spec: "StructuredSpec", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
         """Choose undecided model settings from the records, and identify a model with them."""
-        from itertools import islice
-
-        from ssm_study.training.choice import (
-            MOST_TRAINED,
-            iterate_model_choices,
-            make_progress_printer,
-        )
+        from ssm_study.training.choice import iterate_model_choices, make_progress_printer
         from ssm_study.training.folds import join_training_and_validation
 
         began = time.perf_counter()
         printer = make_progress_printer(session.progress)
         choices = iterate_model_choices(spec, data, session.seed, printer)
         best: Identification | None = None
-        first_choices = islice(choices, MOST_TRAINED)
-        for k, choice in enumerate(first_choices):
+        for k, choice in enumerate(choices):
             folder = session.folder / f"choice_{k}" if k else session.folder
             own_session = replace(session, folder=folder)
             identified = self._identify_with_chosen_settings(choice, data, own_session)
             chosen = choice.describe(spec.automatic_settings)
-            best = best or replace(identified, choice=choice.rows, chosen=chosen)
+            described = replace(identified, choice=choice.rows, chosen=chosen)
             if can_be_certified(choice.spec, identified.model):
-                best = replace(identified, choice=choice.rows, chosen=chosen)
+                best = described
                 break
+            if not choice.only_if_certified:
+                best = best or described
         assert best is not None
         if choice.predictor is not None:
             records = join_training_and_validation(data) if spec.refit else data

@@ -195,15 +195,18 @@ def test_a_run_that_goes_on_begins_where_its_short_run_did(
     spec = StructuredSpec(**FIXED | BRIEF, integrating_output=integrates, gain_share=0.05)  # type: ignore[arg-type]
     kept = best_seeds(spec, data, 7, 2, kept_count=1)
     seed, *_ = kept
-    results = []
-    for prepared in ({}, kept):
-        folder = tmp_path / f"prepared_{len(prepared)}"
-        session = TrainingSession(seed=seed, folder=folder, initial_parameters=prepared)
-        results.append(train_with_lightning(training(max_epochs=3), spec, data, session))
-    anew, prepared = results
+    brief = training(max_epochs=3)
+    folder = tmp_path / "anew"
+    session = TrainingSession(seed=seed, folder=folder)
+    anew = train_with_lightning(brief, spec, data, session)
+    folder = tmp_path / "prepared"
+    session = TrainingSession(seed=seed, folder=folder, initial_parameters=kept)
+    prepared = train_with_lightning(brief, spec, data, session)
     assert anew.fit_validation_percent == prepared.fit_validation_percent
     u = data.test[0].u
-    np.testing.assert_array_equal(anew.model.simulate(u), prepared.model.simulate(u))
+    expected = anew.model.simulate(u)
+    actual = prepared.model.simulate(u)
+    np.testing.assert_array_equal(actual, expected)
 
 
 def test_a_model_that_need_not_contract_has_to_gain_a_quarter() -> None:
