@@ -300,6 +300,7 @@ GROUPS = {
     ),
     "fits": Group(
         modules=modules_of("training", "candidates", "choice_of_paths", "choice_of_products")
+        + modules_of("training", "choice_of_leader")
         + modules_of("training", "choice_of_regression", "choice_of_size", "fit", "folds")
         + modules_of("training", "gain_sign", "loggers", "metrics", "optimisers", "record_batch")
         + modules_of("training", "saving", "search", "short_starts", "training", "windows"),
@@ -308,7 +309,7 @@ GROUPS = {
         + tests_of("refusals", "training_refused")
         + tests_of("laws", "training_saving", "training_identify")
         + tests_of("laws", "training_choice_of_regression", "training_short_starts")
-        + tests_of("laws", "training_choice"),
+        + tests_of("laws", "training_choice", "training_choice_of_leader"),
         planted=20,
     ),
     "stages": Group(
