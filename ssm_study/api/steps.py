@@ -91,7 +91,7 @@ def design_controller(
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.decay_response import simulate_decays
     from ssm_study.synthesis.deployed import add_gain_certificates
-    from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, seeks_coverage
+    from ssm_study.synthesis.measured_discs_run import add_coverage_certificate
 
     balls = certified_balls(model)
     spectra = measure_error_to_cover(model, data, plant_mismatch)
@@ -107,10 +107,7 @@ def design_controller(
         synthesis = synthesis.with_input_limits(lowest_input, highest_input)
     design = synthesis.design(model, balls, data.validation, plant_mismatch)
     design = add_gain_certificates(design, model, balls, (lower, upper))
-    cover = getattr(synthesis, "cover", None)
-    if seeks_coverage(model, cover, spectra):
-        design = add_coverage_certificate(design, model, balls, spectra)
-    return design
+    return add_coverage_certificate(design, model, balls, spectra)
 
 
 def scale_deviation(model: StateSpaceModel, u: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:

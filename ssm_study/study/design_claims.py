@@ -53,8 +53,11 @@ from ssm_study.synthesis.deployed import scaled_equilibrium_states
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.expected_response import faster_response_column
 from ssm_study.synthesis.measured_discs_run import (
+    PART,
     UNPROVED,
+    UNSOUGHT,
     add_coverage_certificate,
+    chooses_gains_by_coverage,
     coverage_columns,
     coverage_needed_column,
     relative_radii_for_further_data,
@@ -253,11 +256,21 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
         # No word is believed: what the search finds is compared with what the record states.
         design = add_coverage_certificate(design, run.model, certified_balls(run.model), spectra)
     facts = coverage_columns(design, run.model, spectra, fresh)
+    if states_unsought_proof(run, spectra):
+        facts["coverage_reason"] = UNSOUGHT
     facts |= recompute_fresh_data_column(run, spectra, mismatch)
     is_old = run.record_version < VERSION
     if not design.feasible or (is_old and run.record.get("coverage") is not None):
         return facts  # true of the proof; a run of before such numbers were withheld has them
     return withhold_coverage(facts, run.model, design.gain_pair)
+
+
+def states_unsought_proof(run: RunFiles, spectra: ModelErrorSpectra) -> bool:
+    """Whether a run rightly states that no proof was looked for, as with neurons before it always
+    was, where the records cannot tell noise from model error."""
+    if run.record.get("coverage_reason") != UNSOUGHT or run.design.extra_certificates.get(PART):
+        return False
+    return not chooses_gains_by_coverage(run.model, None, spectra)
 
 
 def is_coverage_search_repeated(run: RunFiles) -> bool:

@@ -30,7 +30,7 @@ from ssm_study.synthesis.decay_response import NO_DECAYS
 from ssm_study.synthesis.design import Synthesis, require_contraction_rate
 from ssm_study.synthesis.expected_response import ATTEMPTS, FASTER, ExpectedResponse, RankedPair
 from ssm_study.synthesis.measured_discs_choice import Search, choose_covering_design
-from ssm_study.synthesis.measured_discs_run import seeks_coverage
+from ssm_study.synthesis.measured_discs_run import chooses_gains_by_coverage
 from ssm_study.systems import JacobianBalls
 
 # Frequencies (rad/sample) that rank the candidates; the chosen one is then judged on a finer grid.
@@ -159,7 +159,7 @@ class Auto:
         )
         make = CertifiedDesigns(response=response)
         pairs = response.pairs_by_expected_response(peaks, validation, self.limits)
-        if self.premise is None or not seeks_coverage(model, self.cover, self.premise):
+        if self.premise is None or not chooses_gains_by_coverage(model, self.cover, self.premise):
             pairs = islice(pairs, ATTEMPTS)
         search = None
         if self.premise is not None:

@@ -21,7 +21,10 @@ from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.models.structured import Model
 from ssm_study.robustness.coverage import ModelErrorSpectra
 from ssm_study.robustness.coverage_items import DiscRequirement
-from ssm_study.synthesis.measured_discs_run import seeks_coverage, uncertifiable_loop_reason
+from ssm_study.synthesis.measured_discs_run import (
+    chooses_gains_by_coverage,
+    uncertifiable_loop_reason,
+)
 from ssm_study.systems import JacobianBalls, StructuredSystem
 
 if TYPE_CHECKING:
@@ -71,7 +74,7 @@ def choose_covering_design(
         pairs=iter(enumerate(pairs)), make=make_design, places=places, excess=excess, target=target
     )
     first = walk.first_certified_design()
-    sought = premise is not None and seeks_coverage(model, requested_coverage, premise)
+    sought = premise is not None and chooses_gains_by_coverage(model, requested_coverage, premise)
     if first is None or premise is None or not sought:
         return first, PREDICTED
     if premise.insufficient_records_reason(0.0) is not None or uncertifiable_loop_reason(

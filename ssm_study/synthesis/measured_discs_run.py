@@ -29,6 +29,7 @@ from ssm_study.systems import JacobianBalls
 PART = MeasuredDiscs.part
 INJECTED = "the observer injects into neurons that enter the output, and the theorem excludes that"
 UNPROVED = "no proof was found for these gains"
+# In records of before the proof was always looked for.
 UNSOUGHT = (
     "a model with neurons: a proof takes a minute and more, so where no input repeats and noise "
     "counts as mismatch it is looked for only if synthesis.cover is given"
@@ -36,12 +37,12 @@ UNSOUGHT = (
 UNKNOWN = "{} the input has next to no power, so nothing separates mismatch from noise there"
 
 
-def seeks_coverage(
+def chooses_gains_by_coverage(
     model: Model, requested_coverage: float | None, premise: ModelErrorSpectra
 ) -> bool:
-    """Whether a run seeks coverage, a certificate that holds for the recorded model error. With
-    neurons, where this takes a minute, it does so only if the records separate noise from model
-    error, or a coverage is requested."""
+    """Whether gains are chosen by the model error that a certificate would tolerate, too. With
+    neurons, where looking at many gains takes minutes, only if the records separate noise from
+    model error, or a coverage is requested."""
     return isinstance(model, SSM) or requested_coverage is not None or premise.separates_noise
 
 
@@ -97,12 +98,10 @@ def coverage_columns(
         return {}
     part = design.extra_certificates.get(PART)
     if not isinstance(part, MeasuredDiscs):
-        sought = seeks_coverage(model, None, premise)
-        unproved = UNPROVED if sought else UNSOUGHT
         reason = (
             uncertifiable_loop_reason(design, model)
             or premise.insufficient_records_reason(0.0)
-            or unproved
+            or UNPROVED
         )
         return {"coverage": None, "coverage_reason": reason}
     missing = premise.insufficient_records_reason(part.centre)

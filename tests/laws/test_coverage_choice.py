@@ -24,8 +24,8 @@ from ssm_study.synthesis.measured_discs_choice import (
 )
 from ssm_study.synthesis.measured_discs_run import (
     add_coverage_certificate,
+    chooses_gains_by_coverage,
     coverage_columns,
-    seeks_coverage,
 )
 
 SSM_MODEL = SSM.from_linear(MODEL, 0.01)
@@ -70,17 +70,17 @@ def test_without_a_premise_the_choice_is_the_predicted_one() -> None:
     assert chosen(None, designs=())[0] is None
 
 
-def test_with_neurons_a_proof_is_sought_where_noise_can_be_told_from_mismatch() -> None:
+def test_with_neurons_gains_are_chosen_by_coverage_where_noise_is_told_from_mismatch() -> None:
     """Or where a coverage is asked for; with one layer always."""
     known = premise(scaled_model(0.2))
     once = replace(known, repeating=())
     assert known.separates_noise
     assert not once.separates_noise
     neurons = random_model(0, neurons=True)
-    assert seeks_coverage(neurons, None, known)
-    assert not seeks_coverage(neurons, None, once)
-    assert seeks_coverage(neurons, 1.0, once)
-    assert seeks_coverage(SSM_MODEL, None, once)
+    assert chooses_gains_by_coverage(neurons, None, known)
+    assert not chooses_gains_by_coverage(neurons, None, once)
+    assert chooses_gains_by_coverage(neurons, 1.0, once)
+    assert chooses_gains_by_coverage(SSM_MODEL, None, once)
 
 
 def test_a_coverage_below_zero_is_no_request() -> None:

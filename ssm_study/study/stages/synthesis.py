@@ -36,7 +36,7 @@ def compute_synthesis(
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.decay_response import simulate_decays
     from ssm_study.synthesis.deployed import add_gain_certificates
-    from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, seeks_coverage
+    from ssm_study.synthesis.measured_discs_run import add_coverage_certificate
 
     model = model_run.model
     balls = certified_balls(model)
@@ -54,8 +54,7 @@ def compute_synthesis(
             method = method.with_input_limits(lower, upper)
     design = method.design(model, balls, data.validation, recorded_mismatch)
     design = add_gain_certificates(design, model, balls, ends)
-    if seeks_coverage(model, getattr(synthesis, "cover", None), spectra):
-        design = add_coverage_certificate(design, model, balls, spectra)
+    design = add_coverage_certificate(design, model, balls, spectra)
     design.save(folder / "certificate.json")
 
 
