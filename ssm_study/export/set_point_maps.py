@@ -84,10 +84,12 @@ def derive_set_points(
     if points is None and isinstance(model, StateSpace):
         points = _linear_set_points(model, internal_states, inward, outward)
     elif points is None and len(lower) == 1:
-        low, high = (_mapped_limit(controller, limit) for limit in (lower, upper))
+        low = _mapped_limit(controller, lower)
+        high = _mapped_limit(controller, upper)
         curve = compute_equilibrium_curve(controller, low, high)
-        points = curve and _interpolated_set_points(curve, len(controller.a), inward, outward)
-    return points and convert_floats(points, REALS[real])
+        if curve is not None:
+            points = _interpolated_set_points(curve, len(controller.a), inward, outward)
+    return None if points is None else convert_floats(points, REALS[real])
 
 
 def explain_missing_set_points(controller: PortableController, inputs: int) -> str:

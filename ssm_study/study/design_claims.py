@@ -256,7 +256,7 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
         # No word is believed: what the search finds is compared with what the record states.
         design = add_coverage_certificate(design, run.model, certified_balls(run.model), spectra)
     facts = coverage_columns(design, run.model, spectra, fresh)
-    if states_unsought_proof(run, spectra):
+    if run.record.get("coverage_reason") == UNSOUGHT and is_search_optional(run, spectra):
         facts["coverage_reason"] = UNSOUGHT
     facts |= recompute_fresh_data_column(run, spectra, mismatch)
     is_old = run.record_version < VERSION
@@ -265,12 +265,11 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
     return withhold_coverage(facts, run.model, design.gain_pair)
 
 
-def states_unsought_proof(run: RunFiles, spectra: ModelErrorSpectra) -> bool:
-    """Whether a run rightly states that no proof was looked for, as with neurons before it always
-    was, where the records cannot tell noise from model error."""
-    if run.record.get("coverage_reason") != UNSOUGHT or run.design.extra_certificates.get(PART):
-        return False
-    return not chooses_gains_by_coverage(run.model, None, spectra)
+def is_search_optional(run: RunFiles, spectra: ModelErrorSpectra) -> bool:
+    """Whether a run without a proof of coverage may state that none was looked for: before it
+    always was, a model with neurons whose records cannot tell noise from model error."""
+    is_proved = PART in run.design.extra_certificates
+    return not is_proved and not chooses_gains_by_coverage(run.model, None, spectra)
 
 
 def is_coverage_search_repeated(run: RunFiles) -> bool:

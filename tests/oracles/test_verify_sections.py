@@ -12,6 +12,9 @@ from verify_runs import run_of
 from ssm_study.certificates.certificate import Infeasible
 from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
 from ssm_study.engine.records import VERSION
+from ssm_study.models.identified import SSM
+from ssm_study.models.structured import StructuredSSM
+from ssm_study.robustness.coverage import ModelErrorSpectra
 from ssm_study.signals import DataSet
 from ssm_study.study import claims
 from ssm_study.study.claims import (
@@ -27,6 +30,7 @@ from ssm_study.study.design_claims import (
     check_stored_certificate,
     check_stored_initial_states,
     is_coverage_search_repeated,
+    is_search_optional,
     lacks_coverage,
     missing_column_reasons,
     recompute_coverage_columns,
@@ -190,6 +194,22 @@ def test_a_failed_search_that_takes_long_is_not_repeated() -> None:
     assert names == expected
     proved = versioned(VERSION, coverage_reason=None)
     assert unrepeated_search_reason(proved) == {}
+
+
+def test_a_proof_not_looked_for_is_believed_with_neurons_where_no_input_repeats() -> None:
+    run = versioned(VERSION)
+    vars(run)["design"] = PARTS(extra_certificates={})
+    with_neurons = object.__new__(StructuredSSM)
+    vars(run)["model_run"] = PARTS(model=with_neurons)
+    once = object.__new__(ModelErrorSpectra)
+    vars(once)["repeating"] = ()
+    assert is_search_optional(run, once)
+    repeating = object.__new__(ModelErrorSpectra)
+    vars(repeating)["repeating"] = (once,)
+    assert not is_search_optional(run, repeating)
+    one_layer = object.__new__(SSM)
+    vars(run)["model_run"] = PARTS(model=one_layer)
+    assert not is_search_optional(run, once)
 
 
 def infeasible_side() -> Infeasible:
