@@ -3,6 +3,7 @@ where none is covered, and the choice turns to it only where the grid does not r
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from ssm_study.synthesis.measured_discs_choice import (
     tolerated_disc_radius,
 )
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
+from ssm_study.synthesis.slope_search import ScoredGains
 
 SSM_MODEL = SSM.from_linear(MODEL, 0.01)
 SHARE = 0.2  # by which the plant answers more than its model
@@ -198,3 +200,18 @@ def test_a_grid_without_a_design_is_given_up_after_its_near_pairs() -> None:
     chosen = choose_covering_design(iter(range(400)), make, SSM_MODEL, BALLS, PREMISE, None)
     assert chosen[0] is None
     assert tried == list(range(NEAR + 1))
+
+
+@pytest.mark.parametrize(("proved", "takes_faster"), [(1.01, True), (0.99, False)])
+def test_covered_gains_are_left_only_for_faster_ones_with_a_proof(proved, takes_faster) -> None:
+    faster = design(input_weight=0.1)
+    found = ScoredGains(gains=faster.gain_pair, area=0.5, coverage=1.1)
+    stub = SimpleNamespace(
+        model=SSM_MODEL,
+        response_area=lambda _: 0.9,
+        search_best_gains=lambda *_: found,
+        certify_gains=lambda *_: faster,
+        proved_coverage=lambda _: proved,
+    )
+    taken = GainSearch._faster_design(stub, FAST, 1.0, 8)
+    assert taken is (faster if takes_faster else FAST)
