@@ -93,7 +93,7 @@ LONG = {
     "test_training_short_starts",
 }
 # Of the whole runs, whose tests look at the figures that a run draws.
-DRAWING = {"test_api", "test_docs_notebooks", "test_overlay", "test_study_line"}
+DRAWING = {"test_api", "test_docs_notebooks", "test_overlay"}
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:

@@ -13,9 +13,11 @@ from docs_commands import FEW
 from verify_lies import edited, failing
 
 from ssm_study.cli.main import main
+from ssm_study.cli.paper_figures import PAPER_FIGURES
 from ssm_study.data.mcap import read_mcap
 from ssm_study.models.identified import SSM
 from ssm_study.models.torch_recurrence import ModalForm, simulate_by_convolution
+from ssm_study.report.figures import draw_figures
 from ssm_study.study.line import undeclared_number_columns
 from ssm_study.study.loop_recordings import read_rollouts
 from ssm_study.study.verify import verify
@@ -165,6 +167,17 @@ def test_the_table_has_one_typed_row(smoke_study: Path) -> None:
     assert len(table) == 1
     assert table["stable_count"].dtype == "Int64"
     assert len(pd.read_csv(smoke_study / "runs.csv")) == 1
+
+
+def test_the_figures_of_a_run_are_drawn(smoke_study: Path, tmp_path: Path) -> None:
+    """The runs of these tests draw none: here are those of one, as vectors."""
+    study = shutil.copytree(smoke_study, tmp_path / "smoke")
+    shutil.rmtree(study / "figures", ignore_errors=True)
+    pictures = draw_figures(PAPER_FIGURES, study)
+    vectors = [path for path in pictures if path.suffix == ".pdf"]
+    assert len(vectors) == len(PAPER_FIGURES)
+    for path in vectors:
+        assert path.read_bytes().startswith(b"%PDF")
 
 
 STAGES = ("model", "synthesis")
