@@ -6,7 +6,7 @@ largest coverage without being slower than allowed, as a linear fit of simulated
 These are simulated, and the most promising one is evaluated; its slopes correct the promises of the
 others. Once the aim is met, the fastest position that still promises it is evaluated instead. The
 step grows where a round helps and shrinks where none does. Random numbers are fixed.
-Source: docs/closed_loop.md, "Rates chosen for you".
+Source: docs/closed_loop.md, "Rates chosen for you"; docs/theory.md, "Measured discs".
 """
 
 from collections.abc import Callable
