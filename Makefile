@@ -5,6 +5,7 @@ export OMP_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= passive
 unexport PYTHONDONTWRITEBYTECODE # hundreds of processes would compile every module again
 
+.NOTPARALLEL: # two goals may need the same environment
 .PHONY: help install study test test-all lint docs clean
 
 help:
@@ -14,7 +15,7 @@ help:
 	@echo "make docs    build the documentation site into site/, warnings are errors"
 	@echo "make clean   remove the environment and every cache (results stay)"
 
-# The modules that a process imports are compiled then and kept: less than a third of those installed.
+# No module is compiled at installation: Python compiles what is imported, less than a third, and keeps it.
 PIP := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 
 # The pip that Python brings takes twice as long to choose releases as the one of constraints.txt.

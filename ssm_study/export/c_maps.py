@@ -30,9 +30,9 @@ def render_set_point_maps(points: SetPoints, prefix: str, c_type: str) -> str:
 
 def render_set_point_functions(points: SetPoints, sizes: dict[str, object]) -> str:
     """C functions that start the controller at an output and steer to a set point."""
-    reaching = _REST[points.inward is None]
-    texts = sizes | {"rests": points.coordinates}
-    return _SET_POINTS.substitute(texts, reaching=reaching.substitute(texts))
+    equilibrium = _REST[points.inward is None]
+    texts = sizes | {"coordinates": points.coordinates}
+    return _SET_POINTS.substitute(texts, equilibrium=equilibrium.substitute(texts))
 
 
 def render_static_map(function_name: str, static_map: PortableMap, prefix: str, c_type: str) -> str:

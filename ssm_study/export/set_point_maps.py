@@ -30,8 +30,10 @@ from ssm_study.systems import StateSpace, StructuredSystem
 REALS: dict[str, Any] = {"double": np.float64, "float": np.float32}
 WIDEST = 5.0  # scaled inputs: as far as a curve of equilibria goes where there is no limit
 IDLE = 1e-9  # relative: a direction of inputs below it moves no output at rest
-# Relative: states that lose less than this in a sample are held by an integrator.
+# Smallest singular value of I - A, relative to the largest, below which a direction of states may
+# be an integrator's; it is one if an input below HELD holds a scaled output of one.
 INTEGRATES = {"double": 1e-9, "float": 1e-6}
+HELD = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,19 +123,25 @@ def _integrating_set_points(
     """
     from scipy.linalg import null_space  # slow to load
 
-    lost = np.eye(model.order) - model.a
+    change_per_sample = np.eye(model.order) - model.a
+    to_zero = change_per_sample
     if isinstance(model, StructuredSystem):
-        lost = np.vstack([lost, model.f])
-    directions = null_space(lost, rcond=tolerance)
+        to_zero = np.vstack([change_per_sample, model.f])
+    directions = null_space(to_zero, rcond=tolerance)
     gain = model.c @ directions
     outputs, integrators = gain.shape
     if integrators != outputs:
         return None
-    told_apart = np.linalg.matrix_rank(gain, tol=IDLE)
-    if told_apart < outputs:
+    tol = IDLE * np.linalg.norm(model.c)
+    visible_integrators = np.linalg.matrix_rank(gain, tol=tol)
+    if visible_integrators < outputs:
         return None
     inverse_gain = np.linalg.inv(gain)
     states = directions @ inverse_gain
+    holding_input = np.linalg.lstsq(model.b, change_per_sample @ states, rcond=None)[0]
+    largest_input = np.abs(holding_input).max()
+    if largest_input > HELD:  # slow modes
+        return None
     at_rest = _pad_internal_states(states, internal_states)
     unit = np.eye(outputs)
     return SetPoints(

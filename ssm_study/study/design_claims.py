@@ -256,7 +256,9 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
         # No word is believed: what the search finds is compared with what the record states.
         design = add_coverage_certificate(design, run.model, certified_balls(run.model), spectra)
     facts = coverage_columns(design, run.model, spectra, fresh)
-    if run.record.get("coverage_reason") == UNSOUGHT and is_search_optional(run, spectra):
+    stated = run.record.get("coverage_reason")
+    is_unproved = facts.get("coverage_reason") == UNPROVED
+    if stated == UNSOUGHT and is_unproved and is_search_optional(run, spectra):
         facts["coverage_reason"] = UNSOUGHT
     facts |= recompute_fresh_data_column(run, spectra, mismatch)
     is_old = run.record_version < VERSION
@@ -266,8 +268,8 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
 
 
 def is_search_optional(run: RunFiles, spectra: ModelErrorSpectra) -> bool:
-    """Whether a run without a proof of coverage may state that none was looked for: before it
-    always was, a model with neurons whose records cannot tell noise from model error."""
+    """Whether a record without a proof may state that none was looked for. Earlier versions did not
+    look for models with neurons whose records cannot separate noise from model error."""
     is_proved = PART in run.design.extra_certificates
     return not is_proved and not chooses_gains_by_coverage(run.model, None, spectra)
 

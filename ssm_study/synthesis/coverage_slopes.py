@@ -114,10 +114,11 @@ def predict_log_coverage(
     samples: Sequence[CoverageSample], best: CoverageSample, positions: Float[np.ndarray, "P n"]
 ) -> Float[np.ndarray, "P"]:
     """Logarithm of the coverage to expect at several positions: the smallest by the slopes of the
-    latest samples. A sample whose slopes miss the best one's coverage is raised to it."""
+    best and the latest samples. A sample that predicts less than the coverage computed at the best
+    position is shifted up to it."""
     lowest = np.full(len(positions), np.inf)
     steps = positions - best.position
-    for sample in samples[-LATEST:]:
+    for sample in (best, *samples[-LATEST:]):
         at_best = max(sample.log_coverage_at(best.position), best.log_coverage)
         lowest = np.minimum(lowest, at_best + steps @ sample.slopes)
     return lowest

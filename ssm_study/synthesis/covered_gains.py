@@ -104,8 +104,9 @@ class GainSearch:
         return None
 
     def _faster_design(self, covered: Design, target_coverage: float, rounds: int) -> Design:
-        """Faster design near one whose proof exceeds the aim, as it may around the disc centre that
-        the search left aside; the same design if the faster one's proof falls short."""
+        """Faster design near one whose proof exceeds the aim; the same design if the faster one's
+        proof falls short. The search looks at one disc centre, and a proof around another may cover
+        more."""
         aim = coverage_overestimate_factor(self.model) * target_coverage
         area = self.response_area(covered.gain_pair)
         best = self.search_best_gains(covered, aim, rounds, area)

@@ -167,7 +167,9 @@ class _PathFollowing:
         primal and dual variables is one."""
         program = self.program
         x = np.zeros(len(program.goal))
-        largest = max(1.0, float(np.abs(program.constant).max()))
+        largest_entry = float(np.abs(program.constant).max())
+        smallest_eigenvalue = float(np.linalg.eigvalsh(program.constant).min())
+        largest = max(1.0, largest_entry, -2 * smallest_eigenvalue)
         identity = np.eye(program.constant.shape[-1])
         matrices = program.constant + largest * identity
         slacks = np.maximum(-program.bounds, 1.0)
@@ -249,7 +251,7 @@ class _NewtonStep:
     def is_feasible(self, accuracy: float) -> bool:
         """Whether a point meets the constraints, and the dual ones roughly."""
         of_rows = self.slack_residual / (1 + np.abs(self.path.program.bounds))
-        largest = max(np.abs(self.matrix_residual).max(), np.abs(of_rows).max())
+        largest = max(np.abs(self.matrix_residual).max(), np.abs(of_rows).max(initial=0.0))
         dual = np.abs(self.dual_residual).max()
         return bool(largest < accuracy and dual < max(accuracy, DUAL_ACCURACY))
 

@@ -29,7 +29,7 @@ from ssm_study.systems import JacobianBalls
 PART = MeasuredDiscs.part
 INJECTED = "the observer injects into neurons that enter the output, and the theorem excludes that"
 UNPROVED = "no proof was found for these gains"
-# In records of before the proof was always looked for.
+# Only in records of earlier versions, which did not always look for a proof.
 UNSOUGHT = (
     "a model with neurons: a proof takes a minute and more, so where no input repeats and noise "
     "counts as mismatch it is looked for only if synthesis.cover is given"

@@ -25,10 +25,12 @@ from ssm_study.synthesis.measured_discs_choice import LoopCoverage
 from ssm_study.systems import Gains
 
 DRAWN = 2000  # positions in a round
-SIMULATED = 64  # of them, whose responses are simulated
+SIMULATED = 64  # positions in a round whose responses are simulated
 REMEMBERED = 256  # simulated areas, by which those of further positions are predicted
-UNUSABLE = 4.0  # of the largest area allowed: larger ones say nothing of those around the best
-EVALUATED = 4  # of them at most, until one is better
+UNUSABLE = (
+    4.0  # multiple of the largest area allowed: larger ones say nothing of those near the best
+)
+EVALUATED = 4  # positions in a round whose coverage is computed, at most: until one is better
 FIRST_STEP = 0.15  # standard deviation of the logarithm of each entry's factor
 LARGEST_STEP = 0.3
 SMALLEST_STEP = 0.01
@@ -121,7 +123,7 @@ class _SearchState:
         is_left = np.ones(len(positions), dtype=bool)
         for _ in range(EVALUATED):
             chosen = self._most_promising(positions, areas, is_left)
-            if chosen is None:
+            if chosen is None or len(self.samples) > self.settings.evaluations:
                 return False
             is_left[chosen] = False
             position = positions[chosen]
@@ -148,7 +150,7 @@ class _SearchState:
             is_hopeful = (areas <= allowed) & (promised > self.at_best.log_coverage)
             cost = -promised
         hopeful = np.flatnonzero(is_hopeful)
-        cheapest_first = np.argsort(cost[hopeful])
+        cheapest_first = np.argsort(cost[hopeful], kind="stable")
         positions = drawn[hopeful[cheapest_first[:SIMULATED]]]
         simulated = self._simulate_areas(positions)
         is_fast = simulated < allowed if self.is_covered else simulated <= allowed

@@ -39,8 +39,8 @@ def _suggest_existing_study(path: Path) -> str:
     folders = path.parent.glob("*/")
     names = [folder.name for folder in folders]
     similar = get_close_matches(path.name, names, n=1)
-    for name in similar:
-        return f"did you mean {path.parent / name}?"
+    if similar:
+        return f"did you mean {path.parent / similar[0]}?"
     return "give the folder that holds the run folders"
 
 

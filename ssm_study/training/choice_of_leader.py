@@ -16,7 +16,7 @@ from ssm_study.training.search import STRUCTURED, SettingsChoice, SettingsSearch
 
 LEAD = 0.25  # of a leader's error: by more than that the chosen model's error must be larger
 SIZE_NAMES = {"order": "states", "neurons": "neurons", "knots": "break points"}
-KEPT = "no brief training of it was certified, one to the end was"
+KEPT = "no brief training of it was certified, but the full training was"
 GIVEN_UP = "predicted better, but no training of it was certified"
 
 
@@ -57,7 +57,7 @@ def offer_leader(
 ) -> Iterator[SettingsChoice]:
     """Offer a leader as a choice to be kept only if it is certified in the end. All later choices
     tell that it was given up."""
-    search.certified[id(leader)] = True  # of the rows of a choice that is kept
+    search.certified[id(leader)] = True  # the table must say so if this choice is kept
     choice = search.build_settings_choice(leader)
     yield replace(choice, only_if_certified=True, predictor=predictor, remark=KEPT)
     search.certified[id(leader)] = False

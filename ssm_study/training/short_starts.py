@@ -42,7 +42,7 @@ def count_short_and_full_runs(spec: StructuredSpec) -> tuple[int, int]:
     return all_runs, ended
 
 
-def best_seeds(
+def best_starts(
     spec: StructuredSpec,
     data: DataSet,
     first: int,
@@ -51,7 +51,8 @@ def best_seeds(
     print_line: Callable[[str], object] = str,
 ) -> dict[int, Theta]:
     """Random seeds whose training runs have the smallest loss after a few steps, the best first,
-    each with the parameters from which its run began. Without any, the first seed and none.
+    each with the parameters from which its run began. If every run diverges: the first seed,
+    without parameters.
 
     Starts whose model has no certified state feedback and observer come behind all that have, where
     the specification asks for them. Each start is announced when it is done.

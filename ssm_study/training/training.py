@@ -215,7 +215,7 @@ class Training:
         """Train a model to the end from the best of many short training runs."""
         from ssm_study.training.choice import make_progress_printer
         from ssm_study.training.short_starts import (
-            best_seeds,
+            best_starts,
             count_short_and_full_runs,
             settings_for_short_training,
         )
@@ -223,7 +223,7 @@ class Training:
         brief = settings_for_short_training(spec)
         announce = make_progress_printer(session.progress, "short starts")
         start_counts = count_short_and_full_runs(spec)
-        kept = best_seeds(brief, data, session.seed, *start_counts, announce)
+        kept = best_starts(brief, data, session.seed, *start_counts, announce)
         starts = [brief] * len(kept)
         prepared_session = replace(session, initial_parameters=kept)
         return self._train_and_select_best(

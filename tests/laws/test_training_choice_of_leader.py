@@ -107,7 +107,7 @@ def test_a_leader_is_offered_and_later_choices_tell_of_it() -> None:
     assert leader_row["certified"]
     assert leader_row["chosen"]
     words = offer.describe(SPEC.automatic_settings)
-    assert words.endswith("no brief training of it was certified, one to the end was")
+    assert words.endswith("no brief training of it was certified, but the full training was")
     later = search.build_settings_choice(LAYER)
     leader_row = later.rows[1]
     assert leader_row["certified"] is False

@@ -30,7 +30,7 @@ from ssm_study.training.metrics import Identification
 from ssm_study.training.optimisers import Lbfgs
 from ssm_study.training.saving import train_with_lightning
 from ssm_study.training.search import STRUCTURED, SettingsChoice, SettingsSearch
-from ssm_study.training.short_starts import STEPS, best_seeds, training_fit_as_text
+from ssm_study.training.short_starts import STEPS, best_starts, training_fit_as_text
 from ssm_study.training.structured_fit import StructuredFit
 from ssm_study.training.training import Training, TrainingSession
 
@@ -152,7 +152,7 @@ def test_the_best_of_short_starts_goes_on_and_certified_ones_come_first() -> Non
     data = data_set(noise=0.02, samples=300, records=2)
     spec = StructuredSpec(**FIXED | BRIEF)  # type: ignore[arg-type]
     lines: list[str] = []
-    kept = best_seeds(spec, data, 7, 3, kept_count=3, print_line=lines.append)
+    kept = best_starts(spec, data, 7, 3, kept_count=3, print_line=lines.append)
     seeds = [*kept]
     expected = ["1 of 3", "2 of 3", "3 of 3"]
     actual = [line.split(",")[0] for line in lines]
@@ -182,7 +182,7 @@ def test_the_best_of_short_starts_goes_on_and_certified_ones_come_first() -> Non
     last = fit.as_model()
     asked = replace(spec, among_starts=OnlyTheLast())
     expected = [seeds[-1], seeds[0]]
-    certified_first = best_seeds(asked, data, 7, 3, kept_count=2)
+    certified_first = best_starts(asked, data, 7, 3, kept_count=2)
     assert [*certified_first] == expected
 
 
@@ -193,7 +193,7 @@ def test_a_run_that_goes_on_begins_where_its_short_run_did(
     """The parameters are not computed again, and every number stays the same."""
     data = data_set(noise=0.02, samples=300, records=2)
     spec = StructuredSpec(**FIXED | BRIEF, integrating_output=integrates, gain_share=0.05)  # type: ignore[arg-type]
-    kept = best_seeds(spec, data, 7, 2, kept_count=1)
+    kept = best_starts(spec, data, 7, 2, kept_count=1)
     seed, *_ = kept
     brief = training(max_epochs=3)
     folder = tmp_path / "anew"

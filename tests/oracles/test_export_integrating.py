@@ -80,6 +80,22 @@ def test_an_integrating_output_is_brought_to_any_set_point(
     assert any(u in limits for u in inputs)
 
 
+def test_slow_modes_are_no_integrator(tmp_path: Path) -> None:
+    """In companion form I - A is as near to singular as the product of the distances to one."""
+    made = device(tmp_path, kind="linear", real="float")
+    old = made.controller
+    n = len(old.a)
+    pole = 1 - 10 ** (-8 / n)
+    coefficients = np.poly([pole] * n)
+    a = scipy.linalg.companion(coefficients)
+    b = np.eye(n, 1)
+    c = 1e-8 * np.eye(1, n, n - 1)  # a unit of the input holds a unit of the output
+    d = np.zeros((1, 1))
+    slow = convert_floats(replace(old, a=a, b=b, c=c, d=d), np.float32)
+    points = replace(made, controller=slow).set_point_maps
+    assert points is None or points.inward is not None
+
+
 def test_an_integrator_that_the_output_does_not_tell_has_no_set_points(tmp_path: Path) -> None:
     made = integrating_device(tmp_path, "linear")
     hidden = np.eye(1, len(made.controller.a))

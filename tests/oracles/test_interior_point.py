@@ -88,6 +88,20 @@ def test_the_dual_matrices_are_slopes_of_the_optimum() -> None:
     assert difference == pytest.approx(expected, rel=1e-3)
 
 
+def test_the_method_starts_where_the_constant_matrix_is_indefinite_and_no_row_constrains() -> None:
+    constant = -np.ones((1, SIZE, SIZE))
+    identity = np.eye(SIZE)
+    program = HermitianProgram(
+        goal=-np.ones(1),
+        constant=constant.astype(complex),
+        linear=identity[None, None].astype(complex),
+        rows=np.zeros((0, 1)),
+        bounds=np.zeros(0),
+    )
+    x, _ = program.maximise(ACCURACY)
+    np.testing.assert_allclose(x, [SIZE], atol=1e-5)
+
+
 def test_constraints_that_contradict_each_other_have_no_solution() -> None:
     program = random_program(0)
     beyond_the_box = np.full(2 * UNKNOWNS, BOX)

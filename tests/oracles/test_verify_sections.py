@@ -39,7 +39,7 @@ from ssm_study.study.design_claims import (
 )
 from ssm_study.study.findings import DerivedColumns, UncheckedValues, UnconfirmableSettings
 from ssm_study.study.run_files import RunFiles
-from ssm_study.synthesis.measured_discs_run import UNPROVED
+from ssm_study.synthesis.measured_discs_run import UNPROVED, UNSOUGHT
 
 PARTS = SimpleNamespace
 
@@ -325,6 +325,27 @@ def test_a_coverage_is_withheld_in_a_present_design_alone(
     run.specification.plant = "plant"
     run.design.gain_pair = "pair"
     assert recompute_coverage_columns(run) == {"coverage": 1.5}
+
+
+@pytest.mark.parametrize(
+    ("recomputed", "expected"), [(UNPROVED, UNSOUGHT), ("another reason", "another reason")]
+)
+def test_a_proof_not_looked_for_hides_no_other_reason(
+    recomputed: str, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = "ssm_study.study.design_claims"
+    for name in ("measure_model_error", "measure_error_spectra"):
+        monkeypatch.setattr(f"{place}.{name}", lambda *_: None)
+    monkeypatch.setattr(f"{place}.coverage_columns", lambda *_: {"coverage_reason": recomputed})
+    monkeypatch.setattr(f"{place}.recompute_fresh_data_column", lambda *_: {})
+    monkeypatch.setattr(f"{place}.is_search_optional", lambda *_: True)
+    run = versioned(VERSION, feasible=False, coverage_reason=UNSOUGHT)
+    records = PARTS(records="records", start_up_samples=0)
+    vars(run)["model_run"] = PARTS(model=None, validation=records)
+    vars(run)["mismatch_records"] = ()
+    run.specification.plant = "plant"
+    facts = recompute_coverage_columns(run)
+    assert facts["coverage_reason"] == expected
 
 
 def wrong_numbers(margin: float, condition: float) -> list[str]:
