@@ -39,8 +39,9 @@ class SettingsChoice:
     `linear_kind`: the output-error or ARX model itself is to be taken, of this order and delay.
     `others` are settings of other structures that the folds cannot tell from the chosen one.
     `predictor` are those of a model with products of input and state that predicts far better.
-    With `only_if_certified` a model trained so is given up if it has no certificates; `remark`
-    tells of a model that was, or might have been.
+    With `only_if_certified` a model trained so is given up if it has no certificates; `remark` names
+    such a model, kept or given up, in the text of the choice. `from_records`: the records were long
+    enough to decide.
     """
 
     spec: StructuredSpec
@@ -51,6 +52,7 @@ class SettingsChoice:
     predictor: BilinearSpec | None = None
     only_if_certified: bool = False
     remark: str = ""
+    from_records: bool = False
 
     def describe(self, automatic_settings: Sequence[str]) -> str:
         """Text that names the model settings chosen from the records, and the number of candidates
@@ -59,8 +61,12 @@ class SettingsChoice:
             f"{setting_text(name)} {setting_text(getattr(self.spec, name))}"
             for name in automatic_settings
         )
+        if not settings:
+            return ""
+        if not self.from_records:
+            return f"nothing, {TOO_SHORT}; the defaults: {settings}"
         if not self.rows:
-            return f"nothing, {TOO_SHORT}; the defaults: {settings}" if settings else ""
+            return f"{settings}: read off the records"
         compared = f"of {len(self.rows)} models compared on {FOLDS} folds"
         predicts = f"; {PRODUCTS} predict" if self.predictor is not None else ""
         remark = f"; {self.remark}" if self.remark else ""
@@ -235,6 +241,7 @@ class SettingsSearch:
             linear_kind=linear_kind,
             others=other_specs,
             remark=self.remark,
+            from_records=True,
         )
 
     def _candidate_settings(self, candidate: Candidate | None) -> StructuredSpec:

@@ -140,13 +140,13 @@ class Training:
     def _identify_with_chosen_settings(
         self, choice: "SettingsChoice", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Identify a model with chosen settings; if cross-validation chose the settings, also train
-        it on the validation records."""
+        """Identify a model with chosen settings; if the records chose them, also train it on the
+        validation records."""
         from ssm_study.training.choice import REFIT_WORDS
         from ssm_study.training.folds import join_training_and_validation
         from ssm_study.training.metrics import records_fit_percent
 
-        if not (choice.rows and choice.spec.refit):
+        if not (choice.from_records and choice.spec.refit):
             return self._train_chosen_model(choice, data, session)
         all_records = join_training_and_validation(data)
         best = self._train_chosen_model(choice, all_records, session)

@@ -9,6 +9,7 @@ from models_cases import data_set
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import Trajectory
 from ssm_study.training import choice_of_paths
+from ssm_study.training.choice import iterate_model_choices
 from ssm_study.training.search import SettingsSearch
 
 SPEC = StructuredSpec(order=2, neurons=1, knots=0, input_path="none", feedthrough="auto")
@@ -56,3 +57,11 @@ def test_a_direct_path_is_compared_where_the_answer_is_not_surely_later(
     monkeypatch.setattr(choice_of_paths, "choose_between_two_values", remember)
     choice_of_paths.choose_delay(search, changed_data)
     assert values_of["direct path"] == compared
+
+
+def test_a_path_that_the_lag_decides_is_told_without_models_that_were_compared() -> None:
+    data = data_set(noise=0.02, samples=250, records=4)
+    choice = next(iterate_model_choices(SPEC, data, 0, str))
+    assert choice.rows == ()
+    text = choice.describe(SPEC.automatic_settings)
+    assert text == "feedthrough no: read off the records"
