@@ -39,9 +39,9 @@ class SettingsChoice:
     `linear_kind`: the output-error or ARX model itself is to be taken, of this order and delay.
     `others` are settings of other structures that the folds cannot tell from the chosen one.
     `predictor` are those of a model with products of input and state that predicts far better.
-    With `only_if_certified` a model trained so is given up if it has no certificates; `remark` names
-    such a model, kept or given up, in the text of the choice. `from_records`: the records were long
-    enough to decide.
+    With `only_if_certified` a model trained so is given up if it has no certificates; `remark`
+    names such a model, kept or given up, in the text of the choice. `from_records`: the records
+    were long enough to decide.
     """
 
     spec: StructuredSpec
