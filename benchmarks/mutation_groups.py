@@ -335,7 +335,9 @@ GROUPS = {
         planted=15,
     ),
     "gains": Group(
-        modules=modules_of("synthesis", "candidates", "covered_gains", "decay_response")
+        modules=modules_of("synthesis", "candidates", "coverage_slopes", "covered_gains")
+        + modules_of("synthesis", "decay_response", "interior_point", "radius_optimum")
+        + modules_of("synthesis", "slope_search")
         + modules_of("synthesis", "expected_response", "game_kernel", "loop_poles", "metrics")
         + modules_of("synthesis", "measured_discs_choice", "measured_discs_metric", "objectives")
         + modules_of("synthesis", "sine_judgement", "withheld_coverage")
@@ -349,7 +351,7 @@ GROUPS = {
         + tests_of("oracles", "loop_prediction", "coverage", "measured_discs")
         + tests_of("laws", "sine_trials", "covered_gains", "synthesis_ill", "coverage_choice")
         + tests_of("oracles", "synthesis_digits", "loop_within_limits_of_two_outputs")
-        + tests_of("oracles", "run_pictures"),
+        + tests_of("oracles", "run_pictures", "interior_point", "coverage_slopes"),
         planted=20,
     ),
     "peers": Group(
@@ -362,10 +364,11 @@ GROUPS = {
         planted=15,
     ),
     "code": Group(
-        modules=modules_of("export", "c_monitor", "c_neurons", "c_tables", "onnx", "set_points"),
+        modules=modules_of("export", "c_maps", "c_monitor", "c_neurons", "c_tables", "onnx")
+        + modules_of("export", "set_point_maps", "set_points"),
         tests=tests_of("oracles", "export_parts", "export_monitor", "export_rates")
         + tests_of("refusals", "export_refuses")
-        + tests_of("oracles", "export_device", "export_targets"),
+        + tests_of("oracles", "export_device", "export_targets", "export_integrating"),
         planted=10,
     ),
     "commands": Group(

@@ -233,6 +233,13 @@ class Gains:
             np.eye(self.k.shape[-1] - self.l.shape[-2]) if self.internal is None else self.internal
         )
 
+    @property
+    def matrices_by_symbol(self) -> dict[str, Float[np.ndarray, "*pairs r c"]]:
+        """Gain matrices of controller and observer, keyed by symbol, without those that are
+        absent."""
+        matrices = {"k": self.k, "l": self.l, "l_z": self.l_z}
+        return {symbol: matrix for symbol, matrix in matrices.items() if matrix is not None}
+
     def select_pairs(self, indices: int | Int[np.ndarray, "N"]) -> "Gains":
         """Select one controller with its observer, or several, from a stack of gains."""
         l_z = None if self.l_z is None else self.l_z[indices]

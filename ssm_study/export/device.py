@@ -201,7 +201,8 @@ class DeviceController:
             }
         wanted_output = evaluate_inverse_map(points.outward, scale.scaled_output(set_point))
         wanted_mapped = evaluate_equilibrium_map(points.to_lifted, wanted_output)
-        v, lifted = np.zeros(len(controller.k), real), wanted_mapped
+        v = np.zeros(len(controller.k), real)
+        lifted = wanted_mapped
         if points.inward is not None:
             wanted_input = evaluate_inverse_map(points.inward, wanted_mapped)
             requested = scale.physical_input(wanted_input)

@@ -31,9 +31,9 @@ REALS: dict[str, Any] = {"double": np.float64, "float": np.float32}
 WIDEST = 5.0  # scaled inputs: as far as a curve of equilibria goes where there is no limit
 IDLE = 1e-9  # relative: a direction of inputs below it moves no output at rest
 # Smallest singular value of I - A, relative to the largest, below which a direction of states may
-# be an integrator's; it is one if an input below HELD holds a scaled output of one.
+# be an integrator's; it is one if no larger input than that below holds a scaled output of one.
 INTEGRATES = {"double": 1e-9, "float": 1e-6}
-HELD = 1e-4
+LARGEST_HOLDING_INPUT = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +140,7 @@ def _integrating_set_points(
     states = directions @ inverse_gain
     holding_input = np.linalg.lstsq(model.b, change_per_sample @ states, rcond=None)[0]
     largest_input = np.abs(holding_input).max()
-    if largest_input > HELD:  # slow modes
+    if largest_input > LARGEST_HOLDING_INPUT:  # slow modes
         return None
     at_rest = _pad_internal_states(states, internal_states)
     unit = np.eye(outputs)

@@ -36,23 +36,16 @@ class GainCoordinates:
     first: Gains
 
     @property
-    def matrices(self) -> dict[str, Float[np.ndarray, "r c"]]:
-        """Gain matrices of the first gains by symbol, without those that are absent."""
-        first = self.first
-        named = {"k": first.k, "l": first.l, "l_z": first.l_z}
-        return {name: matrix for name, matrix in named.items() if matrix is not None}
-
-    @property
     def count(self) -> int:
         """Number of entries of all gain matrices."""
-        return sum(matrix.size for matrix in self.matrices.values())
+        return sum(matrix.size for matrix in self.first.matrices_by_symbol.values())
 
     def matrices_at(self, position: Position) -> dict[str, Float[np.ndarray, "r c"]]:
         """Gain matrices by symbol at given coordinates."""
         factors = np.exp(position)
         start = 0
         moved = {}
-        for name, matrix in self.matrices.items():
+        for name, matrix in self.first.matrices_by_symbol.items():
             own_factors = factors[start : start + matrix.size]
             moved[name] = matrix * own_factors.reshape(matrix.shape)
             start += matrix.size

@@ -132,13 +132,13 @@ class GainSearch:
     def search_best_gains(
         self, start_design: Design, aimed_coverage: float, rounds: int, largest_area: float
     ) -> ScoredGains:
-        """Search at random for the fastest gains whose coverage (ratio of tolerated to recorded
-        model error) reaches the aimed one; the gains are not yet certified."""
+        """Search for the fastest gains whose coverage (ratio of tolerated to recorded model error)
+        reaches the aimed one; the gains are not yet certified."""
         feedback = start_design.state_feedback
         assert isinstance(feedback, StateFeedback)
         controlled = controlled_system(self.model, feedback)
         loop = LoopCoverage.from_model(self.model, controlled, self.balls, self.premise)
-        start_gains = gain_matrices_by_symbol(start_design.gain_pair)
+        start_gains = start_design.gain_pair.matrices_by_symbol
         coverage, centre = loop.largest_disc_radius(start_gains)
         area = self.response_area(start_design.gain_pair)
         best = ScoredGains(gains=start_design.gain_pair, area=area, coverage=coverage)
@@ -209,7 +209,7 @@ class GainSearch:
                 or controller_spectral_radius(self.model.system, gains, self.balls) >= 1
             ):
                 continue
-            matrices = gain_matrices_by_symbol(gains)
+            matrices = gains.matrices_by_symbol
             coverage = loop.largest_disc_radius_at_centre(matrices, centre, least)
             scored_gains = ScoredGains(gains=gains, area=area, coverage=coverage)
             trials.append(scored_gains)
@@ -269,11 +269,11 @@ class GainSearch:
 
 def has_equal_gains(first: Gains, second: Gains) -> bool:
     """Whether two pairs of controller and observer have equal gain matrices."""
-    ones = gain_matrices_by_symbol(first)
-    others = gain_matrices_by_symbol(second)
+    ones = first.matrices_by_symbol
+    others = second.matrices_by_symbol
     if ones.keys() != others.keys():
         return False
-    return all(np.array_equal(ones[letter], others[letter]) for letter in ones)
+    return all(np.array_equal(ones[symbol], others[symbol]) for symbol in ones)
 
 
 def is_worth_another_round(coverages: Sequence[float], target_coverage: float, rounds: int) -> bool:
@@ -326,9 +326,3 @@ def stack_gains(proposals: list[Gains]) -> Gains:
     l_ = np.stack(observer_gains)
     l_z = np.stack(injections) if injections else None
     return replace(proposals[0], k=k, l=l_, l_z=l_z)
-
-
-def gain_matrices_by_symbol(gains: Gains) -> dict[str, Any]:
-    """Gain matrices of controller and observer, keyed by symbol, without those that are absent."""
-    matrices = {"k": gains.k, "l": gains.l, "l_z": gains.l_z}
-    return {letter: matrix for letter, matrix in matrices.items() if matrix is not None}

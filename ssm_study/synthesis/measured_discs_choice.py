@@ -74,8 +74,9 @@ def choose_covering_design(
         pairs=iter(enumerate(pairs)), make=make_design, places=places, excess=excess, target=target
     )
     first = walk.first_certified_design()
-    sought = premise is not None and chooses_gains_by_coverage(model, requested_coverage, premise)
-    if first is None or premise is None or not sought:
+    if first is None or premise is None:
+        return first, PREDICTED
+    if not chooses_gains_by_coverage(model, requested_coverage, premise):
         return first, PREDICTED
     if premise.insufficient_records_reason(0.0) is not None or uncertifiable_loop_reason(
         first, model

@@ -16,8 +16,8 @@ from ssm_study.training.search import STRUCTURED, SettingsChoice, SettingsSearch
 
 LEAD = 0.25  # of a leader's error: by more than that the chosen model's error must be larger
 SIZE_NAMES = {"order": "states", "neurons": "neurons", "knots": "break points"}
-KEPT = "no brief training of it was certified, but the full training was"
-GIVEN_UP = "predicted better, but no training of it was certified"
+REMARK_IF_CERTIFIED = "no brief training of it was certified, but the full training was"
+REMARK_IF_UNCERTIFIED = "predicted better, but no training of it was certified"
 
 
 def find_uncertified_leader(
@@ -59,9 +59,11 @@ def offer_leader(
     tell that it was given up."""
     search.certified[id(leader)] = True  # the table must say so if this choice is kept
     choice = search.build_settings_choice(leader)
-    yield replace(choice, only_if_certified=True, predictor=predictor, remark=KEPT)
+    yield replace(choice, only_if_certified=True, predictor=predictor, remark=REMARK_IF_CERTIFIED)
     search.certified[id(leader)] = False
-    search.remark = f"a model with an integrator ({size_text(search, leader)}) {GIVEN_UP}"
+    search.remark = (
+        f"a model with an integrator ({size_text(search, leader)}) {REMARK_IF_UNCERTIFIED}"
+    )
 
 
 def size_text(search: SettingsSearch, candidate: Candidate) -> str:

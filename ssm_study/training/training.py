@@ -223,11 +223,16 @@ class Training:
         brief = settings_for_short_training(spec)
         announce = make_progress_printer(session.progress, "short starts")
         start_counts = count_short_and_full_runs(spec)
-        kept = best_starts(brief, data, session.seed, *start_counts, announce)
-        starts = [brief] * len(kept)
-        prepared_session = replace(session, initial_parameters=kept)
+        parameters_by_seed = best_starts(brief, data, session.seed, *start_counts, announce)
+        starts = [brief] * len(parameters_by_seed)
+        prepared_session = replace(session, initial_parameters=parameters_by_seed)
         return self._train_and_select_best(
-            starts, data, prepared_session, spec.members, only_certified=True, seeds=[*kept]
+            starts,
+            data,
+            prepared_session,
+            spec.members,
+            only_certified=True,
+            seeds=[*parameters_by_seed],
         )
 
     def _train_and_select_best(

@@ -140,8 +140,7 @@ def test_a_guided_search_covers_more_and_then_lowers_the_area(loop, coordinates,
     best = search.search_from(start)
     assert best.coverage >= share * coverage
     assert simulated
-    found = GainCoordinates(first=best.gains)
-    matrices = found.matrices
+    matrices = best.gains.matrices_by_symbol
     again = loop.largest_disc_radius_at_centre(matrices, CENTRE)
     assert again == pytest.approx(best.coverage, rel=5e-3)
     if share < 1:
