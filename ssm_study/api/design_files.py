@@ -1,4 +1,4 @@
-"""Files of a saved design: recorded signals that its export needs, and reading a design back."""
+"""Reading of a saved design, and writing of the recorded signals that its export needs."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -49,8 +49,7 @@ def write_export_records(data: DataSet, folder: Path) -> None:
 def signal_groups_of_records(
     records: Sequence[Trajectory], signal: str, signal_name: str, channels: Sequence[Channel]
 ) -> Iterator[SignalGroup]:
-    """One signal of each record as a signal group of an MCAP file, under its topic; records without
-    the signal are left out."""
+    """Signal groups of an MCAP file, one for each record that has the given signal."""
     for i, record in enumerate(records):
         values = getattr(record, signal)
         if values is not None:

@@ -26,7 +26,7 @@ class UnknownMapWarning(UserWarning):
 
 
 def unknown_map_ranges(model: Any, certificate: Certificates) -> dict[str, str]:
-    """Slope range, as text, of each static map that a design knows only by that range. Keyed by
+    """Text with the slope range of each static map of which a design knows nothing else. Keyed by
     the argument of `control` that gives the range."""
     balls = certified_balls(model)
     computed = {"state_feedback": balls.input, "observer": balls.output}

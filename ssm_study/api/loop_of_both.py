@@ -29,7 +29,7 @@ def describe_loop_verdict(
     failed = [name for name in ("controller", "observer") if not verdicts[name]]
     if failed:
         return f"not certified: the {' and the '.join(failed)} is not"
-    maps = maps_text(unknown_maps)
+    maps = unknown_maps_text(unknown_maps)
     words = f"not certified: this proof needs an observer that computes the plant's own {maps}"
     return words if example is None else f"{words}; {example}"
 
@@ -44,7 +44,7 @@ def add_loop_verdict(
     return {**gain_verdicts, "loop": is_certified}
 
 
-def maps_text(unknown_maps: Mapping[str, str]) -> str:
+def unknown_maps_text(unknown_maps: Mapping[str, str]) -> str:
     """Text that lists the static maps which an observer would have to compute, each with its range
     of slopes."""
     return " and ".join(unknown_maps.values())

@@ -78,8 +78,8 @@ def describe_deciding_band(design: "Design") -> str:
 
 
 def smallest_coverage_band_text(reference: str, step_s: float) -> str:
-    """Text in Hz of the frequency range where the tolerated model error is smallest relative to
-    the measured one; empty if no range is given."""
+    """Text in Hz of the frequency range where a proof tolerates the least model error relative to
+    the measured one; empty if none is given."""
     angles = ANGLE.search(reference)
     if angles is None:
         return ""

@@ -52,8 +52,8 @@ def identify_model(
 
 
 def measure_model_error(model: Any, data: DataSet) -> Mismatch:
-    """Measure the model error from the validation record and, where there are any, from records
-    made only to measure the error."""
+    """Measure the model error from the validation records, and from records made for this
+    purpose."""
     return measure_error_of_records(
         model, data.validation, data.start_up_samples, data.mismatch_records
     )

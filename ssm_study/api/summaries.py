@@ -9,7 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from ssm_study.api.loop_of_both import describe_loop_verdict, maps_text, unstable_example_text
+from ssm_study.api.loop_of_both import (
+    describe_loop_verdict,
+    unknown_maps_text,
+    unstable_example_text,
+)
 from ssm_study.api.scope_of_proof import (
     describe_deciding_band,
     describe_simulated_loop,
@@ -133,7 +137,9 @@ def summarise_design(design: "Design") -> pd.Series:
         step_s = design.model.step_s
         lines |= summarise_gain_certificate(name, part, rate, step_s, requested)
         if name == "observer" and part.certified and design.unknown_maps:
-            lines[name] += f", if it computes the plant's own {maps_text(design.unknown_maps)}"
+            lines[name] += (
+                f", if it computes the plant's own {unknown_maps_text(design.unknown_maps)}"
+            )
     example = unstable_example_text(certificate) if design.unknown_maps else None
     lines["loop of both"] = describe_loop_verdict(design.verdicts, design.unknown_maps, example)
     lines["not proved"] = unproved_properties_text(design)

@@ -82,8 +82,8 @@ class GainTheorem(Theorem, abstract=True):
         return context.balls.output if cls.observes else context.balls.input
 
     def certificate_at_largest_rate(self) -> "GainTheorem | None":
-        """Certificate of the largest contraction rate provable for a certified gain matrix; None if
-        no larger rate can be proved than before."""
+        """Certificate of the largest contraction rate for the gain of this certificate; None if no
+        larger rate is proved."""
         return None
 
     @staticmethod
@@ -127,7 +127,7 @@ class ProblemCertificate(GainTheorem, abstract=True):
 
     @classmethod
     def largest_provable_rate(cls, context: VerificationContext) -> float:
-        """Largest contraction rate that any certificate of a theorem can prove for a model. It is
+        """Largest contraction rate that the theorem can prove for a model by the best gain. It is
         the exact frontier; with neurons, the smallest over frozen slopes."""
         system = cls._certified_system(context)
         controlled = dual_system(system) if cls.observes else system

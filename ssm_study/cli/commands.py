@@ -46,8 +46,8 @@ def write_new_study(options: argparse.Namespace) -> None:
     print(*write_study_template(options.folder), sep="\n")
 
 
-def look_at_log(options: argparse.Namespace) -> None:
-    """Print a description of a log of measurements, and draw the log if its records can be used."""
+def describe_log(options: argparse.Namespace) -> None:
+    """Describe a log of measurements, and draw the log if its records can be used."""
     from ssm_study.data.look import look
     from ssm_study.data.text_layout import TextSettings
 
@@ -71,8 +71,7 @@ def look_at_log(options: argparse.Namespace) -> None:
 
 
 def write_excitation(options: argparse.Namespace) -> None:
-    """Write an excitation signal, to be applied to the user's own plant, to a file and print the
-    file's name."""
+    """Write an excitation signal for the user's own plant to a file, and print the file's name."""
     from ssm_study.data.excitations.user_excitation import IdentificationExperiment
 
     settings = {"sines": ()} | excitation_settings(options)

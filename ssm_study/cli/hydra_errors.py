@@ -62,7 +62,7 @@ def suggest_choice(group: str, name: str, choices: list[str]) -> str:
 
 
 def suggest_package(key: str, packages: list[str], overrides: list[str]) -> str:
-    """Suggestion for a configuration group that can only be overridden with its place, such as
+    """Suggestion for a configuration group that has to be named with its place, such as
     `reference@loop.reference`."""
     values = [word.partition("=")[2] for word in overrides if word.split("=")[0] == key]
     value = values[0] if values else "VALUE"
@@ -164,7 +164,7 @@ def compose_without_key(key: str, overrides: list[str], folder: Path) -> DictCon
 
 
 def groups_with_package(group: str, message: str, folder: Path) -> list[str]:
-    """Names of a configuration group together with its place in the configuration, such as
+    """Overridable names of a configuration group, each with its place, such as
     `reference@loop.reference`."""
     if match := re.search(r"Did you mean to override (?:one of )?(.+)\?", message):
         return match[1].split(", ")

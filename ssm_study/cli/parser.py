@@ -106,7 +106,7 @@ def add_look_command(subparsers: Subparsers) -> None:
     command.add_argument("--header", choices=("true", "false"), help=header_help)
     picture_help = "file for the picture (default: FILE_look.png in this folder)"
     command.add_argument("--picture", type=Path, metavar="PNG", help=picture_help)
-    command.set_defaults(command=commands.look_at_log)
+    command.set_defaults(command=commands.describe_log)
 
 
 class FolderCommand(NamedTuple):

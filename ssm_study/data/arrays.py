@@ -242,8 +242,8 @@ def refuse_nonfinite(table: SignalTable, values: Any, name: str) -> None:
 
 
 def require_consistent_time_indexes(u: Any, y: Any, step_s: float | None) -> None:
-    """Raise `BadRequest` unless the time indexes of series or frames are evenly spaced and agree
-    with each other and with the sampling period."""
+    """Raise `BadRequest` for time indexes that are uneven, or that contradict each other or the
+    sampling period."""
     input_side = ("u", u)
     output_side = ("y", y)
     sides = (input_side, output_side)

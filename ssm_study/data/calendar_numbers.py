@@ -1,5 +1,5 @@
-"""Conversion of calendar dates that a log stores as plain numbers, such as a spreadsheet's day
-numbers, to seconds.
+"""Dates that a log stores as plain numbers, such as a spreadsheet's day numbers, converted to
+seconds.
 
 `20260305100000` is a date, `46086.4167` a day of a spreadsheet, `738586.4167` one of MATLAB,
 `1772700000000` milliseconds since 1970. Read as seconds each of them is wrong without a word.

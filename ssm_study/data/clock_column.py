@@ -127,7 +127,7 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
     strict = [title for title in clocks if is_strictly_increasing_clock(table, title)]
     if clocks:
         clock = (strict or clocks)[0]
-        return dated_clock_of_another_span(table, clock, free) or clock
+        return contradicting_date_column(table, clock, free) or clock
     for title in free:
         if has_time_word(title) and is_strictly_increasing_clock(table, title):
             return title
@@ -157,9 +157,9 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
     return first if is_clock else None
 
 
-def dated_clock_of_another_span(table: Table, title: str, free: Sequence[str]) -> str | None:
-    """Column of dates that cover another time span than a unitless time column read in seconds;
-    None if there is no such column."""
+def contradicting_date_column(table: Table, title: str, free: Sequence[str]) -> str | None:
+    """Column of dates that contradicts a time column without unit, because both cover different
+    time spans; None if there is no such column."""
     has_unit = stated_time_unit_s(title, table.units.get(title, "")) is not None
     if has_unit or title in table.dated:
         return None

@@ -333,8 +333,8 @@ def explained_output_variance(u: Signal, y: Signal) -> ExplainedVariance:
 
 
 def with_fastest_decay(u: Signal, y: Signal, explained: ExplainedVariance) -> ExplainedVariance:
-    """Copy of the explained variances that contains the fastest decay of the output found over
-    several longer time windows."""
+    """Copy of the explained variances in which the output's decay is the fastest over several
+    longer time windows."""
     longer = [w for w in WINDOWS if explained.window < w <= LONGER * explained.window]
     able = [window for window in longer if len(u) >= 8 * window]
     losses = [explained_variance_over_window(u, y, window).lost_in_log for window in able]

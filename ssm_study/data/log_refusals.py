@@ -28,8 +28,8 @@ def add_look_command_to_error(error: BadRequest, path: Path) -> BadRequest:
 def missing_values_error(
     path: Path, values: Float[np.ndarray, "T c"], channels: Sequence[Channel]
 ) -> BadRequest:
-    """Error for a log in which no three successive rows have all their values, with the columns in
-    which values are missing."""
+    """Error that names the columns with missing values in a log where no three successive rows are
+    complete."""
     missing = np.isnan(values).mean(axis=0)
     shares = [
         f"{channel.name} {share:.0%}" for channel, share in zip(channels, missing, strict=True)

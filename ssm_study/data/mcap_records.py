@@ -70,8 +70,7 @@ def iterate_mcap_records(
 def _split_records(
     content: bytes, start: int, with_messages: bool
 ) -> Iterator[tuple[int, int, records.McapRecord]]:
-    """Iterate over the records in some bytes, each with the positions of its first byte and of the
-    byte after its last one."""
+    """Iterate over the records in a byte string, each with its start and its end."""
     while start < len(content):
         code, length = RECORD_HEAD.unpack_from(content, start)
         first = start + RECORD_HEAD.size
@@ -99,15 +98,16 @@ def _unpacked_size(chunk: records.Chunk) -> int:
 
 
 def _require_magic(content: bytes, start: int) -> None:
-    """Raise `InvalidMagic` unless the eight bytes that begin and end every MCAP file stand
-    there."""
+    """Raise `InvalidMagic` unless a byte string has the marker of MCAP files at a given
+    position."""
     found = content[start : start + len(MAGIC)]
     if found != MAGIC:
         raise InvalidMagic(found)
 
 
 def _require_checksum(end: records.DataEnd, data_section: bytes) -> None:
-    """Raise `CRCValidationError` unless the data section has the checksum that its end states."""
+    """Raise `CRCValidationError` unless a data section has the checksum that is stored behind
+    it."""
     calculated = zlib.crc32(data_section)
     if end.data_section_crc not in (0, calculated):
         raise CRCValidationError(expected=end.data_section_crc, actual=calculated, record=end)

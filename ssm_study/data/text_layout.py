@@ -180,8 +180,8 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
 
 
 def no_numbers_error(path: Path, body: list[NumberedLine]) -> BadRequest:
-    """Error for a text file in which no table of numbers is found; its message names the row where
-    the decimal mark changes, if one does."""
+    """Error for a text file without a table of numbers; the message names the row where the decimal
+    mark changes, if one does."""
     mixed = describe_mixed_decimals(body)
     if mixed:
         problem = f"numbers are written in two ways: {mixed}"

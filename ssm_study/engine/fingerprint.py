@@ -122,8 +122,8 @@ class CodeReader:
                 self._read_module(module)
 
     def _source_symbol(self, symbol: Symbol) -> Symbol:
-        """Symbol whose source code is read for a given symbol: its whole library, or the current
-        name of a renamed one."""
+        """Symbol that stands for a given one in fingerprints: the whole library, or the current
+        name of a renamed symbol."""
         top = symbol[0].split(".")[0]
         if not self._is_source_read(top):
             return (top, LIBRARY)

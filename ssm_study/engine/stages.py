@@ -138,8 +138,7 @@ class Stages(ABC):
         return {}
 
     def unrecorded_store(self) -> "Stages":
-        """Copy of this store of results, except that computing steps are not logged in the run's
-        record."""
+        """Copy of this store that does not log computing steps in the run's record."""
         return self
 
 

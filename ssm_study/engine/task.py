@@ -115,8 +115,8 @@ class Task(ABC, Generic[R]):
         return checked_request
 
     def run_job(self, config: DictConfig | Settings) -> Outcome:
-        """Execute the run that a configuration describes, unless the run is finished, and leave its
-        record."""
+        """Execute the run that a configuration describes and write its record, unless the run is
+        finished."""
         settings = self.settings(config)
         # Before anything is built: a finished run costs next to nothing.
         outcome = self.outcome_without_running(settings)

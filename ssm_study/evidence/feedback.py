@@ -307,9 +307,9 @@ def _concatenate_regression_rows(halves: list[list[Rows]]) -> list[Rows]:
 
 
 def _residual_powers(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray, "4 m"]:
-    """Powers of the input, of its prediction error, of the clipped prediction error, and of the
-    part of the latter that past outputs leave unexplained. Powers in the scored half: of the input,
-    of `w`, of `w` clipped, and of what `v` leaves of that."""
+    """Powers of four signals in the scored half of a record: of the input, of its prediction error
+    `w`, of `w` with outliers clipped, and of what past outputs leave unexplained of the clipped
+    error. The coefficients are those of the fitted half."""
     past, y, u = fitted
     own_past, own_y, own_u = scored
     on_u = _least_squares_coefficients(past, u)

@@ -109,9 +109,8 @@ class MonitorConstants:
         )
 
     def alarm_limit(self, first_output: Float[np.ndarray, "p"]) -> float:
-        """Alarm limit for the running sum by which the model error exceeds its certified bound, for
-        a given first measured output. It is the energy of the decay from half a scale, or from
-        `ROOM` times that output."""
+        """Alarm limit for the monitor's running sum, for a given first measured output. It is the
+        energy of the decay from half a scale, or from `ROOM` times that output."""
         farther = (ROOM / START) ** 2 * float((first_output**2).sum())
         return self.limit * max(1.0, farther)
 

@@ -95,7 +95,7 @@ def derive_set_points(
 
 
 def explain_missing_set_points(controller: PortableController, inputs: int) -> str:
-    """Clause that says why a controller without maps between set points and equilibria has none."""
+    """Clause that says why a controller cannot convert set points to equilibria."""
     controller = convert_floats(controller, np.float64)
     maps = (controller.s_in, controller.s_out)
     if any(invert_map(part) is None for part in maps):

@@ -133,8 +133,8 @@ def parameters_from_matrices(matrices: RecurrenceMatrices, rate: float) -> FreeP
     gh = np.linalg.solve(root, matrices.f + through_neurons)  # from F = R Gh - E'A
     rows = [matrices.a, gh]
     stacked = np.vstack(rows)
-    x_e = _invert_cayley_contraction(e)
-    x_g = _invert_cayley_contraction(stacked / rate)
+    x_e = _inverse_cayley_transform(e)
+    x_g = _inverse_cayley_transform(stacked / rate)
     zero_scales = np.zeros(e.shape[1])
     return FreeParameters(x_e=x_e, x_g=x_g, log_d=zero_scales)
 
@@ -272,7 +272,7 @@ def _cayley_contraction(x: Tall) -> tuple[Tall, Square]:
     return contraction.T, low
 
 
-def _invert_cayley_contraction(y: Tall) -> Tall:
+def _inverse_cayley_transform(y: Tall) -> Tall:
     """Matrix that the Cayley transform maps to a given matrix of norm below one. `con(X) = Y`. `I -
     Y'Y = L^{-1} L^{-T}`, so `X = Y L'` with the inverse of its Cholesky factor as L."""
     identity = np.eye(y.shape[1])

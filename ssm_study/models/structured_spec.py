@@ -319,8 +319,8 @@ class StructuredSpec(ModelSpec):
         return lift, read
 
     def settings_without_neurons(self) -> SSMSpec:
-        """Settings of the model with a linear recurrence that remains if the structured model has
-        no neurons."""
+        """Settings of the linear recurrence between static maps that a structured model without
+        neurons is."""
         inward = Monotone() if self.knots else Linear()
         outward = Monotone() if self.output_knots else Linear()
         knots = int(self.knots)

@@ -205,8 +205,8 @@ def simulate_validation_and_test(model: Any, data: DataSet) -> tuple[Simulation,
 def simulate_from_alternative_states(
     model: Any, data: DataSet, test: Simulation
 ) -> Simulation | None:
-    """Simulate a model on the test records from the kind of initial states that was not chosen;
-    None if there is only one kind."""
+    """Simulate a model on the test records from the other kind of initial states than the chosen
+    one; None if there is only one kind."""
     if len(test.starts) != len(data.test) or not isinstance(model, ScaffoldedModel):
         return None
     states: States = (None,) * len(data.test)

@@ -66,8 +66,8 @@ def _evaluate_series(c, j, t):
 @compile_with_numba
 @no_type_check
 def _friction_mode_margin(p, c, t, load, body, mode):
-    """Distance of a body's motion from the end of its friction mode (sticking or sliding), by sign:
-    negative once the mode has ended."""
+    """Distance of a body's motion from the end of its friction mode (sticking or sliding); negative
+    once the mode has ended."""
     if mode != 0:
         return mode * _evaluate_series(c, 1 + body, t)
     tm, tl = _torques_without_coulomb_friction(

@@ -112,8 +112,8 @@ class Plant(ABC):
         """States of a plant one sampling period later, under constant input and disturbance."""
 
     def disturbance_effect(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
-        """Raise `BadRequest`: a simulated plant has no input for measured disturbances, only an
-        identified model has one."""
+        """Raise `BadRequest`, because only an identified model has an input for measured
+        disturbances."""
         problem = f"{type(self).__name__} has no input for a measured disturbance"
         remedy = "close the loop on the identified model, or use the plant's own disturbance"
         raise refusal.BadRequest("disturbance", len(measured), problem, remedy)

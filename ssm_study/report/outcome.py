@@ -127,8 +127,8 @@ def format_column(
 
 
 def prediction_fit_row(record: Mapping[str, Any], fit: str) -> tuple[str, str]:
-    """Row of a run's printed results on the fit of the predicting model: a mean of several models,
-    or one with products of input and state."""
+    """Row of a run's printed results on the fit of the predictor, if it is a mean of several models
+    or a bilinear model."""
     if record["members"] == 1:
         return "Model that predicts", f"{fit}, with products of input and state"
     return "Mean that predicts", f"{fit}, of {record['members']} models"

@@ -53,7 +53,7 @@ class RunFacts:
 
 
 def read_extension_theorems(run: Path) -> dict[str, str]:
-    """Names of those theorems behind a run's certificates that an extension package supplies."""
+    """Names of the theorems from extension packages by which a run's certificates are proved."""
     own_theorems = {}
     with suppress(OSError, ValueError, AttributeError):  # a damaged file names none
         parts = json.loads((run / "certificate.json").read_text(encoding="utf-8"))

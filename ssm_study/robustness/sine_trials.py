@@ -96,9 +96,9 @@ def frequency_of_smallest_margin(
 def frequencies_to_test(
     model: Model, pair: Gains, balls: JacobianBalls, mismatch: Mismatch
 ) -> tuple[float, ...]:
-    """Frequencies (rad/sample) of the single sines that test a design: the highest peaks of the
-    closed loop's sensitivity, then the frequency of the smallest stability margin in the records,
-    unless a peak lies within a tenth of it."""
+    """Frequencies (rad/sample) of the single sines that test a design: peaks of the loop's
+    sensitivity, and the smallest stability margin. The latter is left out if a peak lies within a
+    tenth of it."""
     peaks = peak_frequencies(model, pair, balls)[:PEAKS]
     deciding = frequency_of_smallest_margin(model, pair, balls, mismatch)
     if deciding is None:

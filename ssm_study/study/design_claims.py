@@ -91,7 +91,7 @@ def check_certificate(run: RunFiles) -> Claims:
     yield UncheckedValues({f"certificate.{label}": WITHDRAWN for label in design.withdrawn})
     if TOLERANCE in design.withdrawn:
         yield UncheckedValues({"certified_tolerance": WITHDRAWN})
-    yield UncheckedValues(absent_certificate_reasons(run))
+    yield UncheckedValues(missing_certificate_reasons(run))
     for label, part in design.certificates_by_name.items():
         yield check_stored_certificate(run, label, part, sentences)
     yield from check_internal_model(run)
@@ -108,9 +108,9 @@ def check_certificate(run: RunFiles) -> Claims:
     yield UncheckedValues(missing_column_reasons(run) | unrepeated_search_reason(run))
 
 
-def absent_certificate_reasons(run: RunFiles) -> dict[str, str]:
-    """Further certificates that the file of a feasible design may hold and does not, each with the
-    reason why that is not checked."""
+def missing_certificate_reasons(run: RunFiles) -> dict[str, str]:
+    """Certificates that a design could also have but does not store, each with the reason why the
+    search for it is not repeated."""
     design = run.design
     if not design.feasible:
         return {}
@@ -121,7 +121,7 @@ def absent_certificate_reasons(run: RunFiles) -> dict[str, str]:
 
 
 def missing_column_reasons(run: RunFiles) -> dict[str, str]:
-    """Values that the record of a run by an earlier version lacks, each with the reason.
+    """Columns that a record of an earlier version lacks, each with the reason.
 
     So a column that somebody took out of an older record is named among what is not checked.
     """
@@ -268,8 +268,8 @@ def recompute_coverage_columns(run: RunFiles) -> dict[str, Any]:
 
 
 def is_search_optional(run: RunFiles, spectra: ModelErrorSpectra) -> bool:
-    """Whether a record without a proof may state that none was looked for. Earlier versions did not
-    look for models with neurons whose records cannot separate noise from model error."""
+    """Whether a record may state that no proof was searched for. Earlier versions did not look for
+    models with neurons whose records cannot separate noise from model error."""
     is_proved = PART in run.design.extra_certificates
     return not is_proved and not chooses_gains_by_coverage(run.model, None, spectra)
 

@@ -214,9 +214,8 @@ class RunFiles:
 
     @property
     def sine_frequencies(self) -> tuple[float, ...]:
-        """Frequencies (rad/sample) of single sines that test a run's closed loop: where it is most
-        sensitive to model errors, and where the records give the smallest stability margin. Empty
-        without a design."""
+        """Frequencies (rad/sample) of the single sines that test a run's closed loop. Empty without
+        a design."""
         from ssm_study.robustness.sine_trials import frequencies_to_test
 
         if not self.has_certifiable_model:

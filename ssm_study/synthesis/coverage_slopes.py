@@ -1,4 +1,5 @@
-"""Slopes of a loop's coverage along its gains, and what they predict of further gains.
+"""Derivatives of a loop's coverage with respect to its gains, and predictions of the coverage of
+other gains.
 
 At the optimum of the program for weights, multipliers and kappa, `F_k(x; gains) >= 0` at the angles
 `w_k`, the dual matrices Z_k say how the optimum changes with the gains:
@@ -31,12 +32,13 @@ Position = Float[np.ndarray, "n"]
 
 @dataclass(frozen=True, kw_only=True)
 class GainCoordinates:
-    """Coordinates of gains: the logarithms of all entries of K and L, over those of first gains."""
+    """Coordinates of gains: logarithms of all entries of K and L, relative to those of the first
+    gains."""
 
     first: Gains
 
     @property
-    def count(self) -> int:
+    def entry_count(self) -> int:
         """Number of entries of all gain matrices."""
         return sum(matrix.size for matrix in self.first.matrices_by_symbol.values())
 
@@ -65,7 +67,8 @@ class CoverageSample:
     slopes: Position
 
     def log_coverage_at(self, position: Position) -> float:
-        """Logarithm of the coverage at another position, by the slopes at this one."""
+        """Prediction of the logarithm of the coverage at another position, linear in the distance
+        from this one."""
         return float(self.log_coverage + self.slopes @ (position - self.position))
 
 
@@ -83,19 +86,19 @@ def sample_coverage(
     if optimum is None or optimum.duals is None:
         return None
 
-    def constrained_at(moved: Position) -> Complex[np.ndarray, "A G G"]:
+    def constrained_matrices_at(moved: Position) -> Complex[np.ndarray, "A G G"]:
         """Constrained matrices of moved gains at the weights and multipliers of the optimum."""
         context = replace(loop.context, gains=coordinates.matrices_at(moved))
         forms = LoopForms.from_context(select_theorem(context), context, (centre,))
         return optimum.constrained_matrices(forms, centre)
 
     duals = np.conj(optimum.duals)
-    unmoved = constrained_at(position)
-    slopes = np.zeros(coordinates.count)
-    for i in range(coordinates.count):
+    unmoved = constrained_matrices_at(position)
+    slopes = np.zeros(coordinates.entry_count)
+    for i in range(coordinates.entry_count):
         moved = position.copy()
         moved[i] += CHANGE
-        change = (constrained_at(moved) - unmoved) / CHANGE
+        change = (constrained_matrices_at(moved) - unmoved) / CHANGE
         slopes[i] = (duals * change).sum().real
     radius = max(optimum.radius, SMALLEST_COVERAGE)
     log_slopes = slopes / (2 * radius**2)
@@ -106,9 +109,9 @@ def sample_coverage(
 def predict_log_coverage(
     samples: Sequence[CoverageSample], best: CoverageSample, positions: Float[np.ndarray, "P n"]
 ) -> Float[np.ndarray, "P"]:
-    """Logarithm of the coverage to expect at several positions: the smallest by the slopes of the
-    best and the latest samples. A sample that predicts less than the coverage computed at the best
-    position is shifted up to it."""
+    """Predict the logarithm of the coverage at several positions, as the smallest of the
+    predictions from earlier samples. A sample that predicts less than the coverage computed at the
+    best position is shifted up to it."""
     lowest = np.full(len(positions), np.inf)
     steps = positions - best.position
     for sample in (best, *samples[-LATEST:]):

@@ -104,9 +104,9 @@ class GainSearch:
         return None
 
     def _faster_design(self, covered: Design, target_coverage: float, rounds: int) -> Design:
-        """Faster design near one whose proof exceeds the aim; the same design if the faster one's
-        proof falls short. The search looks at one disc centre, and a proof around another may cover
-        more."""
+        """Search for a faster design near one that covers more than required; the same design if
+        none covers enough. The search looks at one disc centre, and a proof around another may
+        cover more."""
         aim = coverage_overestimate_factor(self.model) * target_coverage
         area = self.response_area(covered.gain_pair)
         best = self.search_best_gains(covered, aim, rounds, area)
@@ -175,8 +175,8 @@ class GainSearch:
         return best
 
     def _is_acceptable(self, gains: Gains, slowest_ratio: float) -> bool:
-        """Whether gains may be deployed whatever they cover: their controller is itself stable, the
-        prediction too, and recorded decays end sooner."""
+        """Whether gains may be deployed: stable controller, predicted stability on the plant, and a
+        faster response than recorded decays."""
         ratios = self._settling_time_ratios([gains])
         if ratios[0] >= slowest_ratio:
             return False

@@ -100,8 +100,8 @@ def tolerance_certificate(design: Design, model: Model, balls: JacobianBalls) ->
 
 
 def certificate_at_largest_rate(certificate: GainTheorem) -> GainTheorem | None:
-    """Certificate of the largest contraction rate provable for an already certified gain; None if
-    no larger rate than before is proved.
+    """Certificate of the largest contraction rate for a gain that is certified at a smaller one;
+    None if no larger rate is proved.
 
     A plug-in's theorem says itself how (`GainTheorem.certificate_at_largest_rate`).
     """

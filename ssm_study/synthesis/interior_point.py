@@ -78,7 +78,7 @@ class CentralPoint:
         of_matrices = (self.matrices * np.conj(self.dual_matrices)).sum().real
         return float(of_matrices + self.slacks @ self.dual_slacks)
 
-    def moved_along(
+    def step_along(
         self, direction: "CentralPoint", primal_step: float, dual_step: float
     ) -> "CentralPoint":
         """Point at given steps along a direction."""
@@ -110,7 +110,8 @@ class CentralPoint:
 
 @dataclass(frozen=True, kw_only=True)
 class HermitianProgram:
-    """Linear goal under Hermitian matrix constraints, affine in the unknowns, and linear ones."""
+    """Program with a linear goal, Hermitian matrix constraints that are affine in the unknowns, and
+    linear constraints."""
 
     goal: Vector
     constant: Matrices
@@ -119,8 +120,8 @@ class HermitianProgram:
     bounds: Rows
 
     def maximise(self, accuracy: float) -> tuple[Vector, Matrices]:
-        """Unknowns at the optimum, and the dual variables of the matrix constraints: `Z_k`, by
-        which the optimum grows with `C_k`. Raises `NoSolution`."""
+        """Maximise the goal, and return the unknowns at the optimum and the dual variables `Z_k` of
+        the matrix constraints. Raises `NoSolution`."""
         try:
             return _PathFollowing.from_program(self).solve(accuracy)
         except np.linalg.LinAlgError as error:
@@ -129,8 +130,8 @@ class HermitianProgram:
 
 @dataclass(frozen=True, kw_only=True)
 class _PathFollowing:
-    """Path-following method for one program, with its arrays in the orders that the products
-    need."""
+    """Path-following method for one program, with the coefficient matrices in the layouts that the
+    products need."""
 
     program: HermitianProgram
     stacked: Complex[np.ndarray, "n AGG"]
@@ -196,11 +197,11 @@ class _PathFollowing:
                 return point.x, point.dual_matrices
             predictor = step.direction(0.0)
             ends = point.longest_steps(predictor, 1.0)
-            remaining_share = point.moved_along(predictor, *ends).complementarity / gap
+            remaining_share = point.step_along(predictor, *ends).complementarity / gap
             centring = min(max(remaining_share**3, LEAST_CENTRING), 1.0)
             corrector = step.direction(centring * gap / count, predictor)
             steps = point.longest_steps(corrector, SHARE)
-            point = point.moved_along(corrector, *steps)
+            point = point.step_along(corrector, *steps)
         raise np.linalg.LinAlgError("no convergence")
 
 
@@ -249,7 +250,8 @@ class _NewtonStep:
         )
 
     def is_feasible(self, accuracy: float) -> bool:
-        """Whether a point meets the constraints, and the dual ones roughly."""
+        """Whether a point meets the constraints to a given accuracy, and the dual equations
+        roughly."""
         of_rows = self.slack_residual / (1 + np.abs(self.path.program.bounds))
         largest = max(np.abs(self.matrix_residual).max(), np.abs(of_rows).max(initial=0.0))
         dual = np.abs(self.dual_residual).max()

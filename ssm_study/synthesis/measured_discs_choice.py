@@ -105,8 +105,8 @@ def choose_covering_design(
 
 
 def coverage_overestimate_factor(model: Model) -> float:
-    """Factor by which the coverage computed frequency by frequency exceeds the proved one, as a
-    rule at most. Both are ratios of tolerated to recorded model error."""
+    """Largest factor by which a coverage computed frequency by frequency usually exceeds the proved
+    one. Both are ratios of tolerated to recorded model error."""
     return OVERESTIMATE_WITH_NEURONS if isinstance(model.system, StructuredSystem) else OVERESTIMATE
 
 
@@ -132,8 +132,8 @@ class GainPairSearch:
     unseen: Design | None = None
 
     def first_certified_design(self) -> Design | None:
-        """Certify pairs of gains, fastest expected response first, and return the first design that
-        can be certified; `None` if no pair near the fastest can be."""
+        """Design of the first pair of gains that can be certified, in order of expected response;
+        `None` if no pair near the fastest can be."""
         for place, pair in self.pairs:
             design = self.make(pair)
             if design is not None:

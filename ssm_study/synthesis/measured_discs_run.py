@@ -40,8 +40,8 @@ UNKNOWN = "{} the input has next to no power, so nothing separates mismatch from
 def chooses_gains_by_coverage(
     model: Model, requested_coverage: float | None, premise: ModelErrorSpectra
 ) -> bool:
-    """Whether gains are chosen by the model error that a certificate would tolerate, too. With
-    neurons, where looking at many gains takes minutes, only if the records separate noise from
+    """Whether the choice of gains also considers the model error that a certificate would tolerate.
+    With neurons, where looking at many gains takes minutes, only if the records separate noise from
     model error, or a coverage is requested."""
     return isinstance(model, SSM) or requested_coverage is not None or premise.separates_noise
 

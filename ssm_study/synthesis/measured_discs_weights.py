@@ -156,8 +156,7 @@ class WeightProgram:
 
     @property
     def coefficient_matrices(self) -> Any:
-        """Matrix by which each unknown enters the linear matrix inequality at each frequency, where
-        the weights of the model error's bound are optimised."""
+        """Coefficient matrix of each unknown in the linear matrix inequality, at each frequency."""
         angles = self.grid.angles
         basis_values = self.basis.basis_values(angles)
         phi = basis_values[:, :, None, None]

@@ -13,9 +13,12 @@ from ssm_study.synthesis.measured_discs_program import LoopForms
 
 @dataclass(frozen=True, kw_only=True)
 class RadiusOptimum:
-    """Largest squared radius of a disc of model errors that a loop tolerates, with the disc's
-    weights and the multipliers, the frequencies that were solved, and their dual matrices (None
-    where the solver gives none)."""
+    """Largest squared radius of a disc of model errors that a loop tolerates, with the weights and
+    multipliers that reach it.
+
+    `angles` are the frequencies that were solved and `duals` the dual matrices there, None where
+    the solver gives none.
+    """
 
     squared_radius: float
     unknowns: Float[np.ndarray, "n"]
@@ -30,7 +33,8 @@ class RadiusOptimum:
         return float(max(self.squared_radius, 0.0) ** 0.5)
 
     def constrained_matrices(self, forms: LoopForms, centre: float) -> Complex[np.ndarray, "F G G"]:
-        """Matrices that must be positive, at these weights and multipliers, for any loop."""
+        """Matrices that the optimum's weights and multipliers make positive for its loop, computed
+        for any other loop."""
         at_angles = forms.at_angles(self.angles)
         size = len(self.basis_values)
         on_model = self.unknowns[:size] @ self.basis_values

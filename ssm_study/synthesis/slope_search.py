@@ -1,5 +1,5 @@
 """Search for gains of a model with neurons whose certificate tolerates a larger model error, guided
-by the slopes of coverage.
+by derivatives of the coverage.
 
 Each round draws many positions around the best gains at random and takes those that promise the
 largest coverage without being slower than allowed, as a linear fit of simulated responses says.
@@ -61,7 +61,8 @@ class ScoredGains:
 
 @dataclass(kw_only=True)
 class SlopeSearch:
-    """Search from given gains within a number of `evaluations` of coverage.
+    """Search from given gains for better ones, with a limited number of evaluations of the
+    coverage.
 
     `response_areas` simulates gains on the model, `is_acceptable` says whether they may be deployed
     whatever they cover. `largest_area` is the slowest response allowed.
@@ -77,9 +78,9 @@ class SlopeSearch:
     random: np.random.Generator
 
     def search_from(self, start: ScoredGains) -> ScoredGains:
-        """Best gains of the search; those at its start if none are better."""
+        """Search for better gains; the first gains if none are better."""
         coordinates = GainCoordinates(first=start.gains)
-        origin = np.zeros(coordinates.count)
+        origin = np.zeros(coordinates.entry_count)
         at_start = sample_coverage(self.loop, coordinates, origin, self.centre)
         if at_start is None:
             return start
@@ -89,12 +90,12 @@ class SlopeSearch:
             best=start,
             at_best=at_start,
             samples=[at_start],
-            simulated=np.zeros((0, coordinates.count)),
+            simulated=np.zeros((0, coordinates.entry_count)),
             areas=np.zeros(0),
         )
         step = FIRST_STEP
         while len(search.samples) <= self.evaluations and step >= SMALLEST_STEP:
-            has_improved = search.improve(step)
+            has_improved = search.evaluate_round(step)
             step *= LENGTHEN if has_improved else SHORTEN
             step = min(step, LARGEST_STEP)
         return search.best
@@ -102,7 +103,8 @@ class SlopeSearch:
 
 @dataclass(kw_only=True)
 class _SearchState:
-    """Best gains so far, and all samples of coverage."""
+    """State of a search: the best gains so far, all samples of the coverage, and the latest
+    simulated responses."""
 
     settings: SlopeSearch
     coordinates: GainCoordinates
@@ -113,12 +115,13 @@ class _SearchState:
     areas: Areas
 
     @property
-    def is_covered(self) -> bool:
-        """Whether the best gains reach the coverage aimed at."""
+    def has_required_coverage(self) -> bool:
+        """Whether the best gains reach the required coverage."""
         return self.best.coverage >= self.settings.aimed_coverage
 
-    def improve(self, step: float) -> bool:
-        """Evaluate the most promising positions of one round; whether one is better."""
+    def evaluate_round(self, step: float) -> bool:
+        """Evaluate the most promising positions of one round, and return whether one of them is
+        better than the best so far."""
         positions, areas = self._draw_fast_positions(step)
         is_left = np.ones(len(positions), dtype=bool)
         for _ in range(EVALUATED):
@@ -128,22 +131,22 @@ class _SearchState:
             is_left[chosen] = False
             position = positions[chosen]
             gains = self.coordinates.gains_at(position)
-            if self.settings.is_acceptable(gains) and self._take_if_better(
+            if self.settings.is_acceptable(gains) and self._evaluate_position(
                 position, gains, float(areas[chosen])
             ):
                 return True
         return False
 
     def _draw_fast_positions(self, step: float) -> tuple[Positions, Areas]:
-        """Positions around the best one that promise most, with the areas of their responses; none
-        that is slower than allowed."""
+        """Draw the most promising positions around the best one whose simulated responses are fast
+        enough, with the areas of these."""
         random = self.settings.random
-        steps = step * random.standard_normal((DRAWN, self.coordinates.count))
+        steps = step * random.standard_normal((DRAWN, self.coordinates.entry_count))
         drawn = self.at_best.position + steps
         areas = self._predicted_areas(drawn)
-        allowed = self.best.area if self.is_covered else self.settings.largest_area
-        promised = self._promised(drawn)
-        if self.is_covered:
+        allowed = self.best.area if self.has_required_coverage else self.settings.largest_area
+        promised = self._predict_log_coverage(drawn)
+        if self.has_required_coverage:
             is_hopeful = promised >= np.log(self.settings.aimed_coverage)
             cost = areas
         else:
@@ -153,11 +156,12 @@ class _SearchState:
         cheapest_first = np.argsort(cost[hopeful], kind="stable")
         positions = drawn[hopeful[cheapest_first[:SIMULATED]]]
         simulated = self._simulate_areas(positions)
-        is_fast = simulated < allowed if self.is_covered else simulated <= allowed
+        is_fast = simulated < allowed if self.has_required_coverage else simulated <= allowed
         return positions[is_fast], simulated[is_fast]
 
     def _simulate_areas(self, positions: Positions) -> Areas:
-        """Areas of the simulated responses at several positions, which are remembered."""
+        """Simulate the responses at several positions, and return and remember the areas under
+        them."""
         if not len(positions):
             return np.zeros(0)
         gains = [self.coordinates.gains_at(position) for position in positions]
@@ -167,11 +171,11 @@ class _SearchState:
         return areas
 
     def _predicted_areas(self, positions: Positions) -> Areas:
-        """Areas to expect at several positions: a linear fit of the logarithms of the simulated
-        ones; that of the best gains before any are simulated."""
+        """Predict the areas under the responses at several positions by a linear fit to the
+        logarithms of the simulated ones; while these are too few, as the area of the best gains."""
         best = np.full(len(positions), self.best.area)
         is_usable = self.areas < UNUSABLE * self.settings.largest_area
-        if is_usable.sum() < 2 * self.coordinates.count:
+        if is_usable.sum() < 2 * self.coordinates.entry_count:
             return best
         steps = self.simulated[is_usable] - self.at_best.position
         ratios = np.log(self.areas[is_usable] / self.best.area)
@@ -179,16 +183,17 @@ class _SearchState:
         exponents = (positions - self.at_best.position) @ slopes
         return np.asarray(best * np.exp(exponents))
 
-    def _promised(self, positions: Positions) -> Areas:
-        """Logarithm of the coverage that the samples predict at each position."""
+    def _predict_log_coverage(self, positions: Positions) -> Areas:
+        """Predicted logarithm of the coverage at each of several positions."""
         return predict_log_coverage(self.samples, self.at_best, positions)
 
     def _most_promising(
         self, positions: Positions, areas: Areas, is_left: Bool[np.ndarray, "P"]
     ) -> int | None:
-        """Number of the position to evaluate next; None if none promises to be better."""
-        promised = self._promised(positions)
-        if self.is_covered:
+        """Index of the position to evaluate next; None if none is predicted to be better than the
+        best."""
+        promised = self._predict_log_coverage(positions)
+        if self.has_required_coverage:
             is_candidate = is_left & (promised >= np.log(self.settings.aimed_coverage))
             cost = areas
         else:
@@ -200,8 +205,11 @@ class _SearchState:
         cheapest = np.argmin(cost[candidates])
         return int(candidates[cheapest])
 
-    def _take_if_better(self, position: Float[np.ndarray, "n"], gains: Gains, area: float) -> bool:
-        """Evaluate the coverage at a position, and make it the best one if it is."""
+    def _evaluate_position(
+        self, position: Float[np.ndarray, "n"], gains: Gains, area: float
+    ) -> bool:
+        """Evaluate the coverage at a position, make the position the best one if it is better, and
+        return whether it is."""
         aimed = self.settings.aimed_coverage
         sample = sample_coverage(
             self.settings.loop,

@@ -79,8 +79,8 @@ def find_run_folder(path: Path) -> Path:
 
 
 def _matching_names(names: list[str], part: str) -> list[str]:
-    """Names of runs that end with a given text, else those that begin with the text, else those
-    whose final digits match."""
+    """Names of runs that match a given text by their end, else by their beginning, else by their
+    final digits."""
     ending = [name for name in names if name.endswith(part)]
     beginning = [name for name in names if name.startswith(part)]
     digits = [name for name in names if name.rpartition("-")[2].startswith(part)]

@@ -50,9 +50,8 @@ def best_starts(
     kept_count: int,
     print_line: Callable[[str], object] = str,
 ) -> dict[int, Theta]:
-    """Random seeds whose training runs have the smallest loss after a few steps, the best first,
-    each with the parameters from which its run began. If every run diverges: the first seed,
-    without parameters.
+    """Initial parameters, by random seed, of the training runs with the smallest loss after a few
+    steps, the best first. If every run diverges: the first seed, without parameters.
 
     Starts whose model has no certified state feedback and observer come behind all that have, where
     the specification asks for them. Each start is announced when it is done.

@@ -31,7 +31,7 @@ from ssm_study.training.structured_problem import (
 from ssm_study.training.structured_start import (
     add_random_neurons,
     contracting_initial_parameters,
-    fit_best_random_poles,
+    fit_from_random_poles,
     fit_initial_linear_model,
 )
 
@@ -137,8 +137,8 @@ class StructuredFit(pl.LightningModule):
         self._store_descent_state(at)
 
     def _prepare_parameters(self) -> Theta:
-        """Compute initial parameters; behind an integrator they are improved without penalty on the
-        gain's sign first."""
+        """Compute initial parameters; for a penalty on the gain's sign, improve them first without
+        the penalty."""
         start = self._initial_parameters()
         return self._train_without_gain_penalty(start) if self.problem.gain_share else start
 
@@ -209,7 +209,7 @@ class StructuredFit(pl.LightningModule):
         return best | {"x0": x0}
 
     def _linear_start(self, short: SimulationProblem, rng: np.random.Generator) -> Theta:
-        """Linear model with a fitted S_u, to which random neurons are added.
+        """Fit a linear model, including its input map S_u, to which random neurons are added later.
 
         Models on the same records that differ only in their neurons begin with the same one. It is
         fitted once; the generator is then set to its state after that fit, so all later draws are
@@ -233,7 +233,7 @@ class StructuredFit(pl.LightningModule):
 
     @property
     def _linear_start_settings(self) -> tuple[object, ...]:
-        """Settings by which the linear starts of a search for model settings differ."""
+        """Settings of the search for model settings on which a fitted linear start depends."""
         spec = self.spec
         maps = (spec.knots, spec.output_knots)
         paths = (spec.feedthrough, spec.dead_time, self.integrates)
@@ -257,7 +257,7 @@ class StructuredFit(pl.LightningModule):
         fitted = minimise_simulation_error(linear, start, block_names, steps)
         if self.integrates:
             return fitted.theta
-        screened_start = fit_best_random_poles(linear, start, self.estimates, rng)
+        screened_start = fit_from_random_poles(linear, start, self.estimates, rng)
         screened = minimise_simulation_error(linear, screened_start, block_names, steps)
         is_better = screened.loss < TRUSTED * fitted.loss
         return screened.theta if is_better else fitted.theta

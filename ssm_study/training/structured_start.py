@@ -122,7 +122,7 @@ def states_at_scored_samples(problem: SimulationProblem, theta: Theta) -> Float[
     return earlier_states[is_recorded]
 
 
-def fit_best_random_poles(
+def fit_from_random_poles(
     problem: SimulationProblem, initial: Theta, estimates_states: bool, rng: np.random.Generator
 ) -> Theta:
     """Fit linear models with several random sets of poles, and return the one that fits the records

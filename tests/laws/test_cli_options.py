@@ -190,17 +190,17 @@ def test_a_log_is_drawn_if_it_has_records(
     looked = note_calls(monkeypatch, "ssm_study.data.look.look", log)
     drawn = note_calls(monkeypatch, "ssm_study.report.figure_of_a_log.draw_log", figure)
     options = options_of(f"look a/log.csv {option}")
-    commands.look_at_log(options)
+    commands.describe_log(options)
     settings = looked[0][1]["settings"]
     assert settings.header is header
     assert drawn == []
     log.records = (1,)
-    commands.look_at_log(options)
+    commands.describe_log(options)
     expected = [(Path("log_look.png"), 150)]
     assert saved == expected
     assert capsys.readouterr().out.endswith("log_look.png\n")
     options = options_of("look a/log.csv --picture p.png")
-    commands.look_at_log(options)
+    commands.describe_log(options)
     last = saved[-1][0]
     assert last == Path("p.png")
 

@@ -40,7 +40,7 @@ from ssm_study.training.structured_problem import (
 from ssm_study.training.structured_start import (
     LONGEST,
     draw_state_matrix,
-    fit_best_random_poles,
+    fit_from_random_poles,
     fit_initial_linear_model,
 )
 
@@ -341,7 +341,7 @@ def test_slow_modes_are_found_where_the_next_sample_hardly_depends_on_the_input(
     records = RecordBatch.from_pairs(pairs)
     one = SimulationProblem(records=records, neurons=(), **maps)  # type: ignore[arg-type]
     begun = fit_initial_linear_model(one, 2, False, rng)
-    found = fit_best_random_poles(one, begun, True, rng)
+    found = fit_from_random_poles(one, begun, True, rng)
     assert regularised_loss(one, begun, ()) > 0.5
     assert regularised_loss(one, found, ()) < 0.1
     eigenvalues = np.linalg.eigvals(found["a"])

@@ -68,7 +68,7 @@ def sample_at(loop, coordinates, position) -> CoverageSample:
 
 
 def test_coordinates_scale_every_entry(coordinates) -> None:
-    factors = np.arange(1.0, coordinates.count + 1)
+    factors = np.arange(1.0, coordinates.entry_count + 1)
     position = np.log(factors)
     moved = coordinates.gains_at(position)
     first_k = coordinates.first.k
@@ -77,10 +77,10 @@ def test_coordinates_scale_every_entry(coordinates) -> None:
 
 
 def test_slopes_are_those_of_finite_differences(loop, coordinates) -> None:
-    at_origin = sample_at(loop, coordinates, np.zeros(coordinates.count))
+    at_origin = sample_at(loop, coordinates, np.zeros(coordinates.entry_count))
     rng = np.random.default_rng(0)
     for _ in range(3):
-        direction = rng.standard_normal(coordinates.count)
+        direction = rng.standard_normal(coordinates.entry_count)
         direction /= np.linalg.norm(direction)
         ends = []
         for step in (STEP, -STEP):
@@ -132,7 +132,7 @@ def guided_search(loop, aimed_coverage: float) -> tuple[SlopeSearch, list[int]]:
 
 @pytest.mark.parametrize("share", [1.2, 0.9])
 def test_a_guided_search_covers_more_and_then_lowers_the_area(loop, coordinates, share) -> None:
-    at_origin = sample_at(loop, coordinates, np.zeros(coordinates.count))
+    at_origin = sample_at(loop, coordinates, np.zeros(coordinates.entry_count))
     coverage = float(np.exp(at_origin.log_coverage))
     area = size_of_gain(coordinates.first)
     start = ScoredGains(gains=coordinates.first, area=area, coverage=coverage)

@@ -86,7 +86,7 @@ def _error_colour(i: int) -> str:
 
 
 def _recolour_single_error(errors: list[Series]) -> tuple[Series, ...]:
-    """Copy of error curves in vermilion, the colour of the curves of a single model."""
+    """Copy of error curves in vermilion, for a picture of a single model."""
     recoloured = (
         Series(x=series.x, y=series.y, colour=style.VERMILLION, thin=True) for series in errors
     )

@@ -151,7 +151,7 @@ def _disc_outlines(centres: Complex[np.ndarray, "F"], radii: Float[np.ndarray, "
 
 
 def _critical_point() -> Series:
-    """Critical point -1, which the Nyquist curve must not enclose."""
+    """Critical point -1, which the Nyquist curve must not encircle."""
     y = np.array([0.0])
     real_part = np.array([-1.0])
     return Series(x=real_part, y=y, mark="crosses", colour=style.INK, name="-1")

@@ -104,8 +104,8 @@ def largest_rate(
 
 
 def certificate_at_largest_rate(certificate: Any) -> GainTheorem | None:
-    """Certificate of the largest contraction rate provable for an already certified gain; None if
-    no larger rate than before is proved."""
+    """Certificate of the largest contraction rate for a gain that is certified at a smaller one;
+    None if no larger rate is proved."""
     started = time.perf_counter()
     problem, solution = certificate.as_problem()
     limit = min(largest_rate(problem.a, problem.b, solution.k, problem.ball), LARGEST_RATE)

@@ -281,8 +281,8 @@ def _parse_variable(data: bytes, order: str, owner: str = "") -> Iterator[tuple[
 
 
 def describe_matlab_object(name: str, class_name: str) -> str:
-    """Describe, for an error message, an object of a MATLAB class that has no reader here, and
-    name the property that contains its numbers."""
+    """Describe, for an error message, a MATLAB object that cannot be read, and name the property
+    that contains its numbers."""
     if not class_name:
         return CLASSES[OPAQUE]
     member = NUMBERS_OF_CLASSES.get(class_name)

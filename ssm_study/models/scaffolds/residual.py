@@ -64,8 +64,7 @@ class ResidualScaffold(Scaffold, names=("residual",)):
         return bound_from_ball(ball, "construction")
 
     def jacobian_centre(self) -> None:
-        """Return None: no matrix need be moved out of the map, whose Jacobians lie around a
-        multiple of the identity."""
+        """Return None, because the Jacobians already lie around a multiple of the identity."""
         return
 
     def as_portable(self) -> PortableMap:

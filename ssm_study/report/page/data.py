@@ -323,8 +323,8 @@ def best_run_pictures(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]
 def _collect_from_best_runs(
     study: StudyFolder, table: pd.DataFrame, count: int, collect: Callable[[RunFolder], Any]
 ) -> dict[str, Any]:
-    """Parts of the report page that are made of each of the best runs of a study, keyed by the name
-    of the run; runs that give nothing are left out."""
+    """Parts of the report page, one for each of the best runs that has such a part, keyed by the
+    name of the run."""
     by_run = {}
     for name in text_column(table, "run").head(count):
         collected = collect(study.run_folder(name)) if name else None

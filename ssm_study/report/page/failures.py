@@ -78,7 +78,7 @@ def shorten_numbers(sentence: str) -> str:
 
 def shorten_number(text: str) -> str:
     """Text of a decimal number, cut towards zero to four digits, but never before the decimal
-    point; a whole number or one with an exponent is unchanged."""
+    point. Whole numbers and those with an exponent are unchanged."""
     digits = re.sub(r"e.*|\D", "", text).lstrip("0")
     if len(digits) <= MOST_DIGITS or "." not in text or "e" in text:
         return text

@@ -59,8 +59,8 @@ def compute_synthesis(
 
 
 def recorded_error_spectra(model: Any, data: DataSet, mismatch: Mismatch) -> "ModelErrorSpectra":
-    """Model error by frequency, measured from recorded data; the plant's stability proof has to
-    cover it."""
+    """Spectra of the model error in the recorded data, which a stability proof for the plant has to
+    cover."""
     from ssm_study.robustness.coverage import measure_error_spectra
 
     records = data.mismatch_records
@@ -70,7 +70,7 @@ def recorded_error_spectra(model: Any, data: DataSet, mismatch: Mismatch) -> "Mo
 def unused_record_error_spectra(
     model: Any, data: DataSet, mismatch: Mismatch
 ) -> "ModelErrorSpectra | None":
-    """Model error by frequency in the unused test record of a log; None for a simulated plant."""
+    """Spectra of the model error in the unused test record of a log; None for a simulated plant."""
     from ssm_study.robustness.coverage import measure_error_spectra
 
     if data.metadata.get("source") == "simulated":
