@@ -261,7 +261,7 @@ GROUPS = {
     ),
     "look": Group(
         modules=modules_of("data", "look", "log_checks", "log_dynamics", "log_refusals")
-        + modules_of("data", "signal_guess"),
+        + modules_of("data", "signal_guess", "other_columns"),
         tests=tests_of("oracles", "data_look", "data_look_columns", "data_look_units")
         + tests_of("oracles", "data_look_times", "data_strange_files", "data_small_logs")
         + tests_of("oracles", "data_real_logs", "data_log_kinds"),

@@ -46,8 +46,8 @@ def stated_time_unit_s(title: str, stated_unit: str) -> float | None:
     """Length in seconds of the time unit that a column's title or unit states; None if no unit is
     stated.
 
-    `time(ms)`, `time_ms`, `t [ms]`, `time ms`, `millis`. Raises `BadRequest` for a unit that is
-    none of time.
+    `time(ms)`, `time_ms`, `t [ms]`, `time ms`, `millis`, `min`. Raises `BadRequest` for a unit that
+    is none of time.
     """
     if stated_unit:
         trimmed_unit = stated_unit.strip()
@@ -62,11 +62,9 @@ def stated_time_unit_s(title: str, stated_unit: str) -> float | None:
     plain_title = title.replace("µ", "μ")
     words = title_words(plain_title)
     last = words[-1] if len(words) > 1 else ""
-    whole = title.strip().lower()
-    long_words = ("millis", "micros", "seconds", "milliseconds", "microseconds", "minutes", "hours")
     if last in SECONDS:
         return SECONDS[last]
-    return SECONDS[whole] if whole in long_words else None
+    return SECONDS.get(plain_title.strip().lower())
 
 
 def is_time_title(title: str) -> bool:
@@ -83,6 +81,12 @@ def is_time_title(title: str) -> bool:
     first_words = words[:-1]
     without_unit = "".join(first_words)
     return normalise_title(without_unit) in WORDS
+
+
+def is_unit_of_time(title: str) -> bool:
+    """Whether a column is titled by a unit of time alone, such as `min` or `ms`; `min` may also be
+    a minimum, so that its values must decide."""
+    return title.strip().lower().replace("µ", "μ") in SECONDS
 
 
 def resembles_clock(title: str, unit: str, times: ClockTimes) -> bool:
@@ -117,7 +121,8 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
     the column with the title of a clock, else the first one if it has no title.
 
     Its values must increase (a clock written with few digits may stand still); where a title has a
-    clock's word beside others, `t_now`, they must not stand still either. The first column of
+    clock's word beside others, `t_now`, or is a unit alone, `min`, they must not stand still
+    either. The first column of
     a matrix, `data:1`, has no name either and must run evenly. A nameless column that counts rows
     is none: nobody knows how long a row lasts.
     """
@@ -130,6 +135,9 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
         return contradicting_date_column(table, clock, free) or clock
     for title in free:
         if has_time_word(title) and is_strictly_increasing_clock(table, title):
+            return title
+    for title in free:
+        if is_unit_of_time(title) and is_strictly_increasing_clock(table, title):
             return title
     for title in free:
         times = table.columns[title]

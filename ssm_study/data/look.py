@@ -21,23 +21,24 @@ from ssm_study.data.clock_column import (
     resembles_clock,
 )
 from ssm_study.data.column_facts import ColumnFacts, summarise_column
-from ssm_study.data.command_words import find_column_index, quote_for_command, unit_overrides
+from ssm_study.data.command_words import quote_for_command, unit_overrides
 from ssm_study.data.log_checks import angle_wrap_sentences
 from ssm_study.data.log_dynamics import FEEDTHROUGH, INTEGRATOR, describe_log_dynamics
+from ssm_study.data.other_columns import (
+    possible_disturbance_names,
+    possible_disturbance_sentences,
+    set_point_names,
+    set_point_sentences,
+)
 from ssm_study.data.readers.reader import Table, choose_reader
 from ssm_study.data.recorded import RecordedData
-from ssm_study.data.signal_guess import (
-    doubtful_guess_sentences,
-    guess_input_and_output,
-    is_set_point_title,
-)
+from ssm_study.data.signal_guess import doubtful_guess_sentences, guess_input_and_output
 from ssm_study.data.text_layout import TextSettings
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Trajectory
 
 MOST_SKIPPED = 6  # entries that are listed one by one
 MOST_LETTERS = 40  # of the name of a study
-MOST_NAMED = 4  # columns that move besides input and output, by name in the sentence on them
 ONE_SIGNAL = "one signal alone: if the output lies in another file, name that data.output_path"
 NO_SIGNALS = "no command yet: name the columns with --input and --output, and look again"
 NO_COMMAND = "no command yet: change what the line `not read yet` names, and look again"
@@ -96,6 +97,7 @@ class LogOverview:
     disturbance: str | None = None
     step_is_known: bool = True
     disturbed_command: str = ""
+    reference_command: str = ""
 
     def __str__(self) -> str:
         lines = [f"{self.path.name}", *(column.as_table_line() for column in self.columns)]
@@ -104,6 +106,8 @@ class LogOverview:
         lines += ["", self.command]
         if self.disturbed_command:
             lines += ["", "or with what was measured too:", self.disturbed_command]
+        if self.reference_command:
+            lines += ["", "or if a controller made the input:", self.reference_command]
         return "\n".join(lines)
 
 
@@ -198,6 +202,7 @@ def examine_log(path: Path, stated: LogSettings) -> LogOverview:
         disturbance=stated.disturbance,
         step_is_known=reading.step_is_known,
         disturbed_command=command_with_disturbance(command, others, stated, facts),
+        reference_command=command_with_reference(command, facts, (u, y), stated),
     )
 
 
@@ -262,19 +267,8 @@ def signal_choice_sentences(
     guessed += [f"output {y}"] if stated.output is None else []
     if guessed:
         sentences.append(f"guessed: {', '.join(guessed)} (--input and --output say otherwise)")
-    return sentences + set_point_sentences(facts, signals, stated)
-
-
-def set_point_sentences(
-    facts: Sequence[ColumnFacts], signals: tuple[str, str], stated: LogSettings
-) -> list[str]:
-    """Sentences on columns of a log whose titles suggest a set point."""
-    names = [fact.name for fact in facts if fact.levels > 1 and is_set_point_title(fact.name)]
-    others = [name for name in names if name not in (*signals, stated.time)]
-    if not others:
-        return []
-    settings = " or ".join(f"data.reference={quote_for_command(name)}" for name in others)
-    return [f"named like a set point: if a controller made the input, state {settings}"]
+    set_points = set_point_names(facts, (*signals, stated.time))
+    return sentences + set_point_sentences(set_points)
 
 
 def clock_column_name(table: Table) -> str | None:
@@ -314,29 +308,6 @@ def examine_signals(
     dynamics = describe_log_dynamics(records, is_interpolated=is_interpolated)
     sentences = [remark.removeprefix(prefix), *dynamics]
     return LogReading(records=records, step_is_known=True, sentences=sentences)
-
-
-def possible_disturbance_names(
-    facts: Sequence[ColumnFacts], clock: str | None, signals: Sequence[str | None]
-) -> list[str]:
-    """Names of the varying columns of a log other than input, output and time."""
-    titles = [column.name for column in facts]
-    places = [find_column_index(titles, name) for name in (*signals, clock)]
-    others = [column for k, column in enumerate(facts) if k not in places]
-    moving = [column.name for column in others if column.levels > 1]
-    return [name for name in moving if not is_set_point_title(name)]
-
-
-def possible_disturbance_sentences(names: Sequence[str]) -> list[str]:
-    """Sentence that lists the columns of a log that may be measured disturbances."""
-    if not names:
-        return []
-    named = ", ".join(names[:MOST_NAMED])
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    return [
-        f"measured too: {named}{more}; what moves the output and is not commanded belongs in "
-        "data.disturbance=[COLUMN]"
-    ]
 
 
 def clock_sentences(table: Table, clock: str | None) -> list[str]:
@@ -391,6 +362,17 @@ def command_with_disturbance(
     units = unit_overrides(facts, {"disturbance": others[0]})
     words = [command, f"data.disturbance={quote_for_command(others[0])}", *units]
     return " ".join(words)
+
+
+def command_with_reference(
+    command: str, facts: Sequence[ColumnFacts], signals: Sequence[str | None], stated: LogSettings
+) -> str:
+    """Command that fits a model to a log made in a closed loop, with the only column that is named
+    like its set point."""
+    names = set_point_names(facts, (*signals, stated.time))
+    if len(names) != 1 or not command.startswith("ssm-study run") or None in signals:
+        return ""
+    return f"{command} data.reference={quote_for_command(names[0])}"
 
 
 def study_name(path: Path) -> str:

@@ -1,6 +1,7 @@
 """Guess at which columns of a log are input and output, by their titles and by their levels."""
 
 import re
+import unicodedata
 from collections.abc import Sequence
 
 from ssm_study.data.column_facts import ColumnFacts
@@ -21,9 +22,16 @@ INPUT_WORDS_TEXT = """
 INPUT_WORDS = tuple(INPUT_WORDS_TEXT.split())
 OUTPUT_WORDS_TEXT = """
     y t out output speed temperature temp position level angle rate rpm velocity encoder
-    enconder pos measured ti pressure height outputdata
+    enconder pos measured ti pressure height outputdata acidity
 """
 OUTPUT_WORDS = tuple(OUTPUT_WORDS_TEXT.split())
+# Of what the weather does: such a column is measured and neither commanded nor controlled.
+SURROUNDINGS_WORDS_TEXT = """
+    outdoor outdoors outside ambient surroundings weather aussen draussen umgebung wetter
+    exterieur exterior esterna
+"""
+SURROUNDINGS_WORDS = tuple(SURROUNDINGS_WORDS_TEXT.split())
+ACIDITY = re.compile(r"(?<![A-Za-z])pH(?![a-z])")  # `Ph` is a power in other logs
 SET_POINT_WORDS_TEXT = """
     sp setpoint set ref reference target desired wanted r tsp soll sollwert goal demand
 """
@@ -50,7 +58,8 @@ def output_score(column: ColumnFacts, input_name: str) -> tuple[float, bool, boo
     """Score of how much a column looks like the output: by its title, a word shared with the
     input's title, and the number of distinct values."""
     by_words = title_word_score(column.name, OUTPUT_WORDS)
-    if by_words < title_word_score(column.name, INPUT_WORDS):
+    is_input_title = by_words < title_word_score(column.name, INPUT_WORDS)
+    if is_input_title or title_word_score(column.name, SURROUNDINGS_WORDS):
         by_words = -1.0
     has_same_place = not distinguishing_words(input_name).isdisjoint(
         distinguishing_words(column.name)
@@ -71,9 +80,11 @@ def distinguishing_words(name: str) -> set[str]:
 
 
 def title_words_without_digits(name: str) -> list[str]:
-    """Words in a column title, in lower case and with all digits removed."""
-    spaced = re.sub(WORD_STARTS, " ", name)
-    return [part for part in re.split(r"[^a-z]+", spaced.lower()) if part]
+    """Words in a column title, in lower case, without accents and with all digits removed."""
+    spaced = re.sub(WORD_STARTS, " ", ACIDITY.sub(" acidity ", name))
+    decomposed = unicodedata.normalize("NFKD", spaced.lower().replace("ß", "ss"))
+    plain = "".join(letter for letter in decomposed if not unicodedata.combining(letter))
+    return [part for part in re.split(r"[^a-z]+", plain) if part]
 
 
 def is_set_point_title(name: str) -> bool:
@@ -88,7 +99,8 @@ def input_score(column: ColumnFacts) -> float:
     magnitude = max(abs(column.low), abs(column.high))
     is_steady = column.high - column.low < STEADY * magnitude
     by_words = title_word_score(column.name, INPUT_WORDS)
-    return by_words + level_score(column) - STEADY_COUNTS * is_steady
+    is_surroundings = title_word_score(column.name, SURROUNDINGS_WORDS)
+    return by_words + level_score(column) - STEADY_COUNTS * is_steady - is_surroundings
 
 
 def level_score(column: ColumnFacts) -> float:

@@ -149,3 +149,52 @@ def test_the_output_of_a_lone_input_is_asked_for(tmp_path: Path) -> None:
     seen = look(tmp_path / "in.csv")
     assert "name that data.output_path" in str(seen)
     assert "data.output_path=FILE" in seen.command
+
+
+STRANGERS_TITLES = {
+    "t [s],Lauge [l/h],pH": ("Lauge [l/h]", "pH"),
+    "t,heater,outdoor,room": ("heater", "room"),
+    "t,Heizung,Außen,Innen": ("Heizung", "Innen"),
+    "t,power,outdoor temperature,water": ("power", "water"),
+}
+
+
+@pytest.mark.parametrize("titles", STRANGERS_TITLES)
+def test_the_weather_is_neither_input_nor_output(tmp_path: Path, titles: str) -> None:
+    """`Ph` is a power in one log, `pH` an acidity in another."""
+    names = titles.split(",")
+    table = held_levels_log()
+    weather = 10.0 * np.sin(np.arange(len(table)) / 60.0)
+    columns = [table["time (ms)"] / 1e3, table["u"], *([weather] * (len(names) - 3)), table["y"]]
+    log = pd.DataFrame(dict(zip(names, columns, strict=True)))
+    log.to_csv(tmp_path / "log.csv", index=False)
+    seen = look(tmp_path / "log.csv")
+    assert (seen.input, seen.output) == STRANGERS_TITLES[titles]
+
+
+@pytest.mark.parametrize(("title", "unit_s"), [("min", 60.0), ("ms", 1e-3), ("h", 3600.0)])
+def test_a_column_named_by_a_unit_of_time_alone_is_the_clock(
+    tmp_path: Path, title: str, unit_s: float
+) -> None:
+    table = held_levels_log().rename(columns={"time (ms)": title})
+    table[title] = np.arange(len(table))
+    table.to_csv(tmp_path / "log.csv", index=False)
+    assert f"clock {title}; step {unit_s:g} s" in str(look(tmp_path / "log.csv"))
+    source = RecordedData(path=str(tmp_path / "log.csv"), input="u", output="y", time=title)
+    assert source.build(0).step_s == pytest.approx(unit_s)
+
+
+def test_a_minimum_that_falls_and_rises_is_no_clock(tmp_path: Path) -> None:
+    table = held_levels_log().rename(columns={"y": "min"}).drop(columns="time (ms)")
+    table.to_csv(tmp_path / "log.csv", index=False)
+    assert "no clock found" in str(look(tmp_path / "log.csv", input="u", output="min"))
+
+
+def test_a_set_point_is_in_a_command_of_its_own(tmp_path: Path) -> None:
+    table = held_levels_log().assign(setpoint=np.repeat([1.0, 2.0], 200))
+    table.to_csv(tmp_path / "log.csv", index=False)
+    seen = look(tmp_path / "log.csv")
+    assert seen.reference_command == f"{seen.command} data.reference=setpoint"
+    assert str(seen).endswith(f"or if a controller made the input:\n{seen.reference_command}")
+    held_levels_log().to_csv(tmp_path / "log.csv", index=False)
+    assert look(tmp_path / "log.csv").reference_command == ""
