@@ -168,7 +168,7 @@ class Bench:
             offsets.append(offset)
             swings.append(float((np.ptp(tail, axis=0) / self.ranges).max()))
         settled = [time for time in times if time is not None]
-        mean = self.plant.step_s * np.mean(settled) if settled else None
+        mean = self.plant.step_s * float(np.mean(settled)) if settled else None
         return {
             f"settled{prefix}": f"{len(settled)} of {len(times)}",
             f"settling{prefix}_s": rounded(mean),
@@ -193,7 +193,7 @@ class Bench:
             errors.append(np.abs(piece - step)[-samples // LAST :].mean(axis=0))
             times.append(settling_samples(piece - step, BAND * self.ranges))
         reached = [time for time in times if time is not None]
-        mean = self.plant.step_s * np.mean(reached) if reached else None
+        mean = self.plant.step_s * float(np.mean(reached)) if reached else None
         worst = np.max(errors, axis=0)
         return {
             "set_points_reached": f"{len(reached)} of {len(times)}",
