@@ -41,6 +41,10 @@ SCATTER = 20
 ROUNDING = 1e-9
 LEAST_SHARE = 0.2  # of the input's power, below which the set point hardly moves a known loop
 LAGS = (3, 5, 8)
+# The same in a loop: with few lags the sensor's noise, which the loop feeds back, hides a mode that
+# grows. Of 100 drawn unstable plants in a loop 3, 5, 8 lags find 19, these 100; of 292 drawn stable
+# ones both find one.
+LAGS_IN_LOOP = (12, 20, 30)
 UNSTABLE = 1.01
 ALIKE = 0.02  # models that must agree on a mode outside the circle
 # By what a mode must grow over all samples, as a logarithm: `T (rho - 1)` of an integrator of noise
@@ -154,11 +158,13 @@ def judge_instability(
     """Findings on a log whose plant is unstable or integrates its input.
 
     In open loop sensor noise makes a mode look slower, and integrators of noise stay below
-    `GROWTH`. A loop's noise moves it either way, so that only `UNSTABLE` is clear.
+    `GROWTH`. A loop's noise moves it either way, so that only `UNSTABLE` is clear, and models of
+    many lags show it.
     """
     whole = replace(data, training=(*data.training, *data.validation, *data.test))
     fitted_data = data if is_closed_loop else whole
-    modes = [dominant_pole_modulus(fitted_data, lags) for lags in LAGS]
+    lags_tried = LAGS_IN_LOOP if is_closed_loop else LAGS
+    modes = [dominant_pole_modulus(fitted_data, lags) for lags in lags_tried]
     slowest = min(modes)
     samples = sum(map(len, whole.training))
     least = UNSTABLE if is_closed_loop else math.exp(GROWTH / samples)

@@ -89,6 +89,35 @@ def test_a_plant_that_a_loop_keeps_from_running_away_is_refused_with_the_reason(
     assert "cannot judge" not in levels
 
 
+def simulate_levitation(set_point: np.ndarray, pull: float) -> np.ndarray:
+    """Input and output of `y'' = 2.4e-3 (pull y + u)` a sample, held by a loop whose gain lets the
+    sensor's noise through; without the loop it falls where `pull` is one, and swings where it is
+    minus one."""
+    rng = np.random.default_rng(1)
+    y, speed = 0.0, 0.0
+    log = np.zeros((len(set_point), 2))
+    for k, wanted in enumerate(set_point):
+        measured = y + 0.03 * rng.standard_normal()
+        u = 3.0 * (wanted - measured) - 50.0 * speed
+        log[k] = u, measured
+        speed += 2.4e-3 * (pull * y + u)
+        y += speed
+    return log
+
+
+@pytest.mark.parametrize(("pull", "is_refused"), [(1.0, True), (-1.0, False)])
+def test_noise_that_the_loop_feeds_back_hides_no_plant_that_runs_away(pull, is_refused):
+    """Models of up to eight lags show a mode of 1.03 at most, where it is 1.05."""
+    set_point = LEVELS.repeat(20)[:SAMPLES]
+    u, y = simulate_levitation(set_point, pull).T
+    log = case(u, y)
+    assert min(feedback.dominant_pole_modulus(log.data, lags) for lags in feedback.LAGS) < 1.01
+    findings = list(feedback.judge_feedback(log))
+    assert findings[0].level == "doubt"
+    refusals = [finding for finding in findings if finding.level == "cannot judge"]
+    assert bool(refusals) is is_refused
+
+
 LOW_PASSED = scipy.signal.lfilter([0.1], [1, -0.9], WHITE)
 TWO_LEVELS = np.sign(LEVELS)
 
