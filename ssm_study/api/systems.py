@@ -154,7 +154,8 @@ def read_channel_values(name: str, values: Any, channels: int) -> Float[np.ndarr
 
 
 def read_path(name: str, folder: Any) -> Path:
-    """Check that an argument is a path. Raises `BadRequest` for any other value."""
+    """Check that an argument is a path, and convert it to one. Raises `BadRequest` for any other
+    value."""
     is_path_or_text = isinstance(folder, str | Path)
     is_path = is_path_or_text and "\0" not in str(folder)
     is_text = isinstance(folder, str)

@@ -31,9 +31,9 @@ def dual_system(system: System) -> System:
 
 @dataclass(frozen=True, kw_only=True)
 class Neurons:
-    """Matrices of the neurons inside the recurrence of a synthesis problem. `w = phi(z) -
-    phi(bias)` with slopes in [0, 1], beside the `a, b` of a problem; for an observer, the neurons
-    of the dual system."""
+    """Matrices of the neurons in a synthesis problem, which stand inside the model's recurrence. `w
+    = phi(z) - phi(bias)` with slopes in [0, 1], beside the `a, b` of a problem; for an observer,
+    the neurons of the dual system."""
 
     e: Float[np.ndarray, "n q"]
     f: Float[np.ndarray, "q n"]

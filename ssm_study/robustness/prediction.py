@@ -107,8 +107,9 @@ def worst_case_loop_gain(
     cached_responses: ResponseCache | None = None,
     stop_value: float = float("inf"),
 ) -> float:
-    """Largest loop gain under the measured model error, over all amplitudes, mixtures of neighbours
-    and slopes; its inverse is the stability margin. It is infinite for an unstable loop.
+    """Largest loop gain under the measured model error, over all input amplitudes and slopes; its
+    inverse is the stability margin. It is infinite for an unstable loop. Mixtures of the errors at
+    neighbouring amplitudes count too.
 
     It is taken on `FINE_ANGLES`, or those of `cached_responses`, where what pairs share is computed
     once (the same but for rounding), and at the angles of the loop's own modes, where it is

@@ -39,11 +39,12 @@ class GainCoordinates:
 
     @property
     def entry_count(self) -> int:
-        """Number of entries of all gain matrices."""
+        """Number of entries of all gain matrices together, which is the number of coordinates."""
         return sum(matrix.size for matrix in self.first.matrices_by_symbol.values())
 
     def matrices_at(self, position: Position) -> dict[str, Float[np.ndarray, "r c"]]:
-        """Gain matrices by symbol at given coordinates."""
+        """Gain matrices of controller and observer, keyed by symbol, at a position in these
+        coordinates."""
         factors = np.exp(position)
         start = 0
         moved = {}
@@ -54,13 +55,14 @@ class GainCoordinates:
         return moved
 
     def gains_at(self, position: Position) -> Gains:
-        """Gains at given coordinates."""
+        """Gains of controller and observer at a position in these coordinates."""
         return replace(self.first, **self.matrices_at(position))
 
 
 @dataclass(frozen=True, kw_only=True)
 class CoverageSample:
-    """Logarithm of the coverage at one position, and its slopes along all coordinates."""
+    """Logarithm of the coverage with the gains at one position, and its derivatives with respect to
+    all coordinates."""
 
     position: Position
     log_coverage: float
@@ -79,8 +81,8 @@ def sample_coverage(
     centre: float,
     least_radius: float = 0.0,
 ) -> CoverageSample | None:
-    """Coverage of the gains at a position, with its slopes; None where the solver gives none. Below
-    `least_radius` both may be those of an upper bound."""
+    """Compute the coverage with the gains at a position, and its derivatives; None where the solver
+    gives none. Below `least_radius` both may be those of an upper bound."""
     matrices = coordinates.matrices_at(position)
     optimum = loop.radius_optimum_at_centre(matrices, centre, least_radius)
     if optimum is None or optimum.duals is None:

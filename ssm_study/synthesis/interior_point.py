@@ -81,7 +81,7 @@ class CentralPoint:
     def step_along(
         self, direction: "CentralPoint", primal_step: float, dual_step: float
     ) -> "CentralPoint":
-        """Point at given steps along a direction."""
+        """Point that primal and dual steps of given lengths along a direction lead to."""
         matrices = self.matrices + primal_step * direction.matrices
         dual_matrices = self.dual_matrices + dual_step * direction.dual_matrices
         return CentralPoint(
@@ -93,8 +93,8 @@ class CentralPoint:
         )
 
     def longest_steps(self, direction: "CentralPoint", share: float) -> tuple[float, float]:
-        """Primal and dual step along a direction: a share of the way to the boundary, at most
-        one."""
+        """Lengths of the primal and the dual step along a direction: a share of the way to the
+        boundary, at most one."""
         primal_factor = _inverse_factor(self.matrices)
         dual_factor = _inverse_factor(self.dual_matrices)
         primal = min(
@@ -130,8 +130,7 @@ class HermitianProgram:
 
 @dataclass(frozen=True, kw_only=True)
 class _PathFollowing:
-    """Path-following method for one program, with the coefficient matrices in the layouts that the
-    products need."""
+    """Path-following method for one program."""
 
     program: HermitianProgram
     stacked: Complex[np.ndarray, "n AGG"]
@@ -140,7 +139,7 @@ class _PathFollowing:
 
     @classmethod
     def from_program(cls, program: HermitianProgram) -> "_PathFollowing":
-        """Arrange the coefficient matrices of a program."""
+        """Arrange the coefficient matrices of a program in the layouts that the products need."""
         linear = np.ascontiguousarray(program.linear)
         n, blocks, size, _ = linear.shape
         by_block = np.swapaxes(linear, 0, 1).reshape(blocks, n, size * size)
@@ -164,8 +163,8 @@ class _PathFollowing:
         return np.asarray(products.sum(axis=0)[:, 0].real)
 
     def initial_point(self) -> CentralPoint:
-        """Point with unknowns at zero, well inside all constraints, at which each product of
-        primal and dual variables is one."""
+        """First point of the central path: unknowns at zero, far inside all constraints. Each
+        product of primal and dual variables is one."""
         program = self.program
         x = np.zeros(len(program.goal))
         largest_entry = float(np.abs(program.constant).max())
@@ -184,7 +183,8 @@ class _PathFollowing:
         )
 
     def solve(self, accuracy: float) -> tuple[Vector, Matrices]:
-        """Follow the central path to its end. Raises `LinAlgError` where it does not get there."""
+        """Follow the central path of the program to the optimum, and return the unknowns and the
+        dual matrices there. Raises `LinAlgError` where it does not get there."""
         point = self.initial_point()
         count = point.matrices[:, :, 0].size + len(point.slacks)
         for _ in range(STEPS):
@@ -220,7 +220,7 @@ class _NewtonStep:
 
     @classmethod
     def at_point(cls, path: _PathFollowing, point: CentralPoint) -> "_NewtonStep":
-        """Set up the Newton equations at a point."""
+        """Set up the Newton equations of the central path at a point near it."""
         program = path.program
         factor = _inverse_factor(point.matrices)
         inverse = _adjoint(factor) @ factor
@@ -258,8 +258,9 @@ class _NewtonStep:
         return bool(largest < accuracy and dual < max(accuracy, DUAL_ACCURACY))
 
     def direction(self, centre: float, predictor: CentralPoint | None = None) -> CentralPoint:
-        """Direction to the point of the central path with given products; with a predictor, its
-        second-order terms are subtracted."""
+        """Direction of a Newton step to the point of the central path at which primal and dual
+        variables have a given product. With a predictor, its second-order terms are
+        subtracted."""
         path, point, inverse = self.path, self.point, self.inverse
         wanted_matrices = centre * inverse - point.dual_matrices
         wanted_slacks = centre - np.zeros_like(point.slacks)
@@ -287,5 +288,6 @@ class _NewtonStep:
         )
 
     def _dual_change(self, change: Matrices) -> Matrices:
-        """Decrease of the dual matrices with a change of the primal ones, `Z dS S^-1`."""
+        """Decrease of the dual matrices that a change of the primal matrices causes, `Z dS
+        S^-1`."""
         return _hermitian_part(self.point.dual_matrices @ change @ self.inverse)

@@ -29,7 +29,7 @@ class RadiusOptimum:
 
     @property
     def radius(self) -> float:
-        """Largest radius of the disc."""
+        """Largest radius of the disc of model errors that a loop tolerates."""
         return float(max(self.squared_radius, 0.0) ** 0.5)
 
     def constrained_matrices(self, forms: LoopForms, centre: float) -> Complex[np.ndarray, "F G G"]:

@@ -88,7 +88,7 @@ def _write_run(client: Any, experiment: str, study: Path, row: dict[str, Any]) -
 
 
 def _is_metric(name: str) -> bool:
-    """Whether a table column holds numbers that have a better direction."""
+    """Whether a table column holds numbers whose larger, or smaller, values are better."""
     column = BY_NAME.get(name)
     return column is not None and bool(column.better) and column.kind != "string"
 
