@@ -1,5 +1,6 @@
-"""Files that are replaced atomically, protected by a digest, and locked. Old version whole or new
-version whole: writes that survive kills and full disks, locks that die with us."""
+"""Files that are replaced atomically, protected by a digest, and locked. A reader finds either the
+old or the new version, complete. Writes survive kills and full disks; locks end with the
+process."""
 
 import errno
 import hashlib
@@ -36,9 +37,9 @@ def write_atomically(path: Path, content: bytes, durable: bool = True) -> None:
     """Write a file atomically, so that readers see either the old or the new content. A temporary
     file beside it (never in TMPDIR) is flushed and renamed, then the folder is flushed.
 
-    Raises `OSError` with the old version untouched and no temporary left behind. Not `durable`:
-    survives every kill but not a power loss; for what is synchronised later, or counts as absent
-    when it is damaged.
+    Raises `OSError` with the old version untouched and no temporary left behind. Without `durable`
+    the file survives every kill but no power loss: for files that are synchronised later, or that
+    count as absent when damaged.
     """
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp")
     try:
@@ -67,8 +68,8 @@ def link_or_copy_file(source: Path, target: Path) -> None:
     """Create a second file with the same content, by a clone or a hard link if possible, else by a
     copy.
 
-    Both are only ever replaced as a whole; whoever writes into one in place breaks the sums of
-    both, and that is seen.
+    Both are only ever replaced as a whole; writing into one in place breaks the checksums of both,
+    which is noticed.
     """
     target.unlink(missing_ok=True)
     try:

@@ -1,9 +1,9 @@
 """Exact rational matrices, with an exact test for positive definiteness. They decide certificates:
 exact arithmetic on the stored floats, without any tolerance.
 
-By halves, in balls that hold the exact number; where one contains zero with twice as many digits,
-and where `BITS` do not decide by the fraction-free LDL^T (Sylvester). Why: docs/theory.md, "The
-verdict". Source: Johansson 2017 (Arb).
+A matrix is reduced by halves, in balls that contain the exact numbers. If a ball contains zero,
+twice as many digits are taken, and if `BITS` do not decide, the fraction-free LDL^T (Sylvester).
+Why: docs/theory.md, "The verdict". Source: Johansson 2017 (Arb).
 """
 
 from typing import Any

@@ -1,5 +1,6 @@
-"""Registration of classes of one kind, which are found by name in the files of a folder. A family:
-one question, one room, one file a member; members are found by their names, from no list."""
+"""Registration of classes of one kind, which are found by name in the files of a folder. Each
+member of a family is one file in the folder of the family; members are found by their names,
+without a list."""
 
 import pkgutil
 from abc import ABC
@@ -15,9 +16,9 @@ class Family(ABC):
     name. `class Reader(Family)`, then `class Csv(Reader, names=(".csv",))` in a file of the
     family's room.
 
-    A member that leaves a question of its family open is refused where it is defined (`TypeError`).
-    Members outside the room count from when their module is imported. Its one name is a member's
-    `kind`.
+    The definition of a member that lacks an abstract method of its family raises `TypeError`.
+    Members outside the folder count once their module is imported. A member with a single name has
+    it as `kind`.
     """
 
     known: ClassVar[dict[str, type[Any]]]

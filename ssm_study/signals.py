@@ -253,7 +253,7 @@ class DataSet:
     """Separate training, validation and test records of one system. The first `start_up_samples` of
     each are simulated but not scored.
 
-    `mismatch_records` are for the mismatch alone (`synthesis.mismatch`): no fit, no early stopping
+    `mismatch_records` are for the mismatch alone (`robustness.mismatch`): no fit, no early stopping
     and no score uses them. `disturbances` are measured, and no actuator moves them.
     """
 

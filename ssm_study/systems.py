@@ -65,7 +65,7 @@ class StateSpace(_SystemMatrices):
         """Basis of all equilibria of a linear system: the states, inputs and outputs that can stay
         constant. `X = A X + B V` and `C X + D V`.
 
-        `V = I` and `r = m`, one for each constant input, but of a model that integrates.
+        `V = I` and `r = m`, one for each constant input, unless the model integrates.
         """
         left = np.eye(self.order) - self.a
         if self.integrates:

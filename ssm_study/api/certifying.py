@@ -117,8 +117,8 @@ class Certification:
     stands for a gain that was not given.
 
     `unknown_maps` are the static maps of which only a range of slopes was given, and
-    `unstable_example` is a loop within these slopes that is not stable, if one was found: of an
-    observer with the mean slopes.
+    `unstable_example` is an unstable loop within these slopes, if one was found; its observer has
+    the mean slopes.
     """
 
     controller: GainCertificate | None
@@ -226,9 +226,8 @@ def certify(
     The loop of both, `u = K xh`, comes to rest where both gains are certified and the observer
     computes the plant's own S_u and S_y. It does where each range is one known gain `(g, g)`; where
     a range is wider the third entry of `verdicts`, and with it `certified`, is False: the proof
-    does not speak of an observer that computes another map. As of a `Design`, `certified` says
-    whether all of `verdicts` hold. Source: [Z26] Theorems 1 and 2 at given
-    gains.
+    does not cover an observer that computes another map. As in a `Design`, `certified` says whether
+    all of `verdicts` hold. Source: [Z26] Theorems 1 and 2 at given gains.
 
     Raises `BadRequest` for matrices that do not fit, and where no gain is given.
 
@@ -297,7 +296,7 @@ def read_system_to_certify(system: Any) -> tuple[Any, Any, Any]:
     problem = "is no state space, and the gains act on its states"
     require(not hasattr(system, "num"), "A", kind, problem, f"convert it: control.ss; {MATRICES}")
     is_design = isinstance(system, Design)
-    require(not is_design, "A", kind, "prints its own certificates", f"print it, or {MATRICES}")
+    require(not is_design, "A", kind, "has certificates of its own", f"print it, or {MATRICES}")
     is_object = hasattr(system, "__dict__")
     foreign = is_object and not hasattr(system, "__array__")
     require(not foreign, "A", kind, "is no matrix of numbers", MATRICES)

@@ -60,18 +60,18 @@ def control(
     linear system: `control.StateSpace`, `control.TransferFunction`, or `(A, B, C, D, step_s)`,
     behind an input map with `slopes` and before an output map with `output_slopes`; it has no
     records, so the default is `method="riccati"` with `observer_rate=rate`. The observer is proved
-    for maps that it computes itself: a design whose slopes leave a map open is no controller to
-    export (`unknown_maps`), one with equal slopes `(g, g)` is.
+    for maps that it computes itself: a design with a map that is known only by its slopes cannot be
+    exported (`unknown_maps`), one with equal slopes `(g, g)` can.
 
     `method` is a choice of `conf/synthesis`, `settings` are its further fields, `overrides` the
     same as the command takes them (`"synthesis.input_weight=0.1"`). `input_limits` are the lowest
     and the highest input, physical; None is what the records visited. The rates hold without limits
-    on the input, for slopes that hold everywhere; `record["limited_rate"]` holds within them. Of a
+    on the input, for slopes that hold everywhere; `record["limited_rate"]` holds within them. For a
     bare system `rate` is 0.05 unless it is given, and the largest rate that the gains prove is
     printed; limits are refused; with D nonzero it is certified and exported, but `st.simulate` and
     pictures refuse it.
 
-    Of a model with products of input and state (`model="bilinear"`) the result is a `RestDesign`:
+    For a model with products of input and state (`model="bilinear"`) the result is a `RestDesign`:
     it is proved that the loop comes to rest, from a stated set of starts or from every start;
     `input_weight` and `sensor_noise` are its settings.
 
@@ -106,7 +106,7 @@ def control(
     parts = StudyParts(choices, words)
     if not identified:
         problem = (
-            "bound the inputs of a loop with records; of a bare system nothing is proved there"
+            "apply to a model with records; for a bare system nothing is proved within input limits"
         )
         is_unlimited = all(limit is None for limit in input_limits)
         require(is_unlimited, "input_limits", input_limits, problem, "leave them out")

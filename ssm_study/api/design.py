@@ -289,10 +289,10 @@ class Design:
         """Draw the closed loop's response to a step of the set point. The step has the given
         `size`.
 
-        The step is known in advance: of a linear model the input moves before it does. In the
-        output's unit; by default half the output's scale, or less where the recorded inputs
-        cannot hold so much. Returns the Matplotlib figure. Raises `BadRequest` for a step that no
-        input holds.
+        The step is known in advance: with a linear model the input moves before the step. In the
+        output's unit; by default half the output's scale, or less where the recorded inputs cannot
+        hold so much. Returns the Matplotlib figure. Raises `BadRequest` for a step that no input
+        holds.
         """
         from ssm_study.api.loops import choose_plant
         from ssm_study.api.pictures.loop_response import set_point_picture
@@ -317,8 +317,8 @@ class Design:
     def margin_plot(self) -> Any:
         """Draw the stability margin over frequency for every recorded amplitude of the input.
 
-        A dot marks what decides. Returns the Matplotlib figure. Raises `BadRequest` for a design
-        without records.
+        A dot marks the smallest margin. Returns the Matplotlib figure. Raises `BadRequest` for a
+        design without records.
         """
         from ssm_study.api.pictures.margin import margin_picture, physical_input_scale
         from ssm_study.robustness.margin_by_frequency import margin_curves

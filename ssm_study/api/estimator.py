@@ -19,7 +19,8 @@ class Estimator:
     search begins in the middle of a motion, so the first `start_up_samples` of what is scored
     estimate the initial state and are not scored. Folds must be stretches of time: use
     `TimeSeriesSplit`, or `KFold` without shuffling. `model_` is the fitted `Model`, as `st.fit`
-    returns it. So scikit-learn's `GridSearchCV` chooses settings, and its result is controlled:
+    returns it. So scikit-learn's `GridSearchCV` chooses settings, and `st.control` takes its
+    result:
 
         grid = {"order": [2, 4]}
         search = GridSearchCV(st.Estimator(step_s=0.1, model="ssm"), grid, cv=TimeSeriesSplit(3))

@@ -4,7 +4,7 @@ The observer `xh+ = A xh + B S_u(u) + L (S_y(C xh) - y)` of [Z26] computes S_u a
 Of a linear system only the slopes of its maps are given: the certificates then hold for every such
 map that the observer knows, and an exported observer with another map is not covered. Example: `A =
 [[1.3, 1], [0, 1.17]], B = [0, 1]', C = [1, 0]`, slopes (0.8, 1.2), rate 0.3: an observer with slope
-1 loses the plant with slope 1.2, at spectral radius 1.065.
+1 does not stabilise the plant with slope 1.2: the spectral radius is 1.065.
 """
 
 import warnings

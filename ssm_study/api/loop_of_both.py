@@ -1,9 +1,9 @@
 """Text on whether the closed loop with estimated state, `u = K xh`, is certified, and under which
 assumptions.
 
-Both certificates give it where the observer computes the plant's own maps S_u and S_y: then its
-error shrinks by itself and the model comes to rest. Where only a range of slopes is given, the
-observer computes another map than the plant has, and neither certificate speaks of that loop.
+It follows from both certificates if the observer computes the plant's own maps S_u and S_y: then
+its error shrinks by itself and the model comes to rest. Where only a range of slopes is given, the
+observer computes another map than the plant has, and neither certificate covers that loop.
 """
 
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ def describe_loop_verdict(
     failed = [name for name in ("controller", "observer") if not verdicts[name]]
     if failed:
         return f"not certified: the {' and the '.join(failed)} is not"
-    maps = unknown_maps_text(unknown_maps)
+    maps = maps_text(unknown_maps)
     words = f"not certified: this proof needs an observer that computes the plant's own {maps}"
     return words if example is None else f"{words}; {example}"
 
@@ -44,7 +44,7 @@ def add_loop_verdict(
     return {**gain_verdicts, "loop": is_certified}
 
 
-def unknown_maps_text(unknown_maps: Mapping[str, str]) -> str:
+def maps_text(unknown_maps: Mapping[str, str]) -> str:
     """Text that lists the static maps which an observer would have to compute, each with its range
     of slopes."""
     return " and ".join(unknown_maps.values())

@@ -33,7 +33,7 @@ def make_identified_plant(design: "Design") -> IdentifiedPlant:
 
 def choose_plant(design: "Design", plant: Any) -> Plant | IdentifiedPlant:
     """Plant on which a loop is closed: the given plant, or the identified model if none is given.
-    Raises `BadRequest` for what is no plant."""
+    Raises `BadRequest` for an object that is no plant."""
     if plant is None:
         return make_identified_plant(design)
     remedy = "give one of ssm_study.plants, or your own (docs/howto_plant.md)"

@@ -54,7 +54,8 @@ class Model:
 
     `simulator` holds the numbers: a `StructuredSSM`, an `SSM`, or a baseline. `data` are the
     records with their parts. `facts` are a run's columns up to the model (`fit_test_percent`, ...).
-    `overrides` are the command's words for it, `later_words` those that speak of the design.
+    `overrides` are the words of a command that gives this model, `later_words` those about the
+    design.
     """
 
     simulator: Simulator

@@ -202,8 +202,8 @@ class StudyParts:
     are built.
 
     `overrides` are those of the command line: `model=ssm`, `model.order=4`,
-    `training/optimiser=adam`, `reference@loop.reference=step`. A value given twice is the later
-    one. Raises `BadRequest` for what is none of them.
+    `training/optimiser=adam`, `reference@loop.reference=step`. Of two values for one setting the
+    later counts. Raises `BadRequest` for any other text.
     """
 
     def __init__(self, choices: Mapping[str, str], overrides: Iterable[str] = ()) -> None:

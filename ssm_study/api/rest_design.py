@@ -1,7 +1,7 @@
 """A controller of a bilinear model in Python: proved facts, closed-loop simulation and export.
 
-What is proved of them is that the loop comes to rest; two motions are compared only inside a stated
-set (`certificates.theorems.bilinear_loop`, `bilinear_contraction`).
+For them it is proved that the loop comes to rest; two motions are compared only inside a stated set
+(`certificates.theorems.bilinear_loop`, `bilinear_contraction`).
 """
 
 import json

@@ -92,8 +92,8 @@ def smallest_coverage_band_text(reference: str, step_s: float) -> str:
 
 def weak_input_power_text(design: "Design", reference: str) -> str:
     """Text that warns if the input has almost no power in the frequency band where the tolerated
-    model error is smallest relative to the measured one. Of a loaded design its evidence is quoted,
-    if the band lies above the first that is not excited."""
+    model error is smallest relative to the measured one. For a loaded design the text quotes its
+    evidence, if the band lies above the first band without excitation."""
     from ssm_study.api.steps import measure_error_to_cover
     from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 

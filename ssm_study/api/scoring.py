@@ -48,7 +48,7 @@ def simulate_given_record(
     samples = len(inputs)
     output_count = len(data.outputs)
     expected_shape = (samples, output_count)
-    problem = f"{name} answers with {expected_shape}"
+    problem = f"the outputs of {name} have the shape {expected_shape}"
     remedy = "give the outputs of this input"
     has_expected_shape = outputs.shape == expected_shape
     require(has_expected_shape, "y", outputs.shape, problem, remedy)
@@ -63,8 +63,8 @@ def simulate_given_record(
 
 def read_start_up_samples(start_up_samples: Any, default: int, samples: int) -> int:
     """Number of samples at the beginning of a record that serve to estimate the initial state; a
-    default if none is given. Raises `BadRequest` for what is no number of samples, and where
-    nothing is left to score."""
+    default if none is given. Raises `BadRequest` for a value that is no number of samples, and if
+    no samples are left to score."""
     if start_up_samples is None:
         start_up_samples = default
     remedy = "use 20, or 0 to start from equilibrium"
@@ -74,7 +74,7 @@ def read_start_up_samples(start_up_samples: Any, default: int, samples: int) -> 
     require_at_least(0, "start_up_samples", start_up_samples, remedy)
     scored = samples - int(start_up_samples)
     problem = (
-        f"the first {start_up_samples} samples tell the initial state: nothing is left to score"
+        f"the first {start_up_samples} samples give the initial state, so none are left to score"
     )
     remedy = "give a longer record, or fewer start_up_samples"
     require(scored >= FEWEST_SCORED, "y", samples, problem, remedy)

@@ -9,11 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from ssm_study.api.loop_of_both import (
-    describe_loop_verdict,
-    unknown_maps_text,
-    unstable_example_text,
-)
+from ssm_study.api.loop_of_both import describe_loop_verdict, maps_text, unstable_example_text
 from ssm_study.api.scope_of_proof import (
     describe_deciding_band,
     describe_simulated_loop,
@@ -137,9 +133,7 @@ def summarise_design(design: "Design") -> pd.Series:
         step_s = design.model.step_s
         lines |= summarise_gain_certificate(name, part, rate, step_s, requested)
         if name == "observer" and part.certified and design.unknown_maps:
-            lines[name] += (
-                f", if it computes the plant's own {unknown_maps_text(design.unknown_maps)}"
-            )
+            lines[name] += f", if it computes the plant's own {maps_text(design.unknown_maps)}"
     example = unstable_example_text(certificate) if design.unknown_maps else None
     lines["loop of both"] = describe_loop_verdict(design.verdicts, design.unknown_maps, example)
     lines["not proved"] = unproved_properties_text(design)
@@ -253,9 +247,9 @@ def summarise_gain_certificate(
 def summarise_prediction(
     facts: dict[str, Any], controller_acts: bool = True, deciding_band: str = ""
 ) -> dict[str, str]:
-    """Summary lines that predict how the plant behaves in closed loop. Of a controller that hardly
-    acts neither a margin nor a coverage is praised. `deciding_band` says at which frequency the
-    coverage is decided."""
+    """Summary lines that predict how the plant behaves in closed loop. If the controller hardly
+    acts, its margin and coverage are not presented as a success. `deciding_band` says at which
+    frequency the coverage is decided."""
     margin = facts.get("resolved_margin")
     judged = facts["evidence"] != CANNOT_JUDGE
     suffix = ""

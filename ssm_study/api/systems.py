@@ -16,7 +16,7 @@ FORMS = "give control.StateSpace, control.TransferFunction, or (A, B, C, D, step
 def read_linear_system(system: Any) -> tuple[StateSpace, float]:
     """Read the matrices and the sampling time of a discrete-time linear system.
 
-    Raises `BadRequest` for a continuous-time system and for what is no such system.
+    Raises `BadRequest` for a continuous-time system and for any other object.
     """
     if isinstance(system, tuple):
         return _read_matrices(system)
@@ -86,7 +86,7 @@ def read_numbers(
     """Convert values to a new array of real numbers.
 
     Raises `BadRequest` for complex numbers, whose imaginary part NumPy would drop, for masked
-    entries, and for what holds no numbers.
+    entries, and for values that are no numbers.
     """
     kind = type(values).__name__
     remedy = "give a NumPy array"
@@ -118,7 +118,7 @@ def read_slope_range(name: str, slopes: Any) -> tuple[float, float]:
 
 def read_positive_slope_range(name: str, slopes: Any) -> tuple[float, float]:
     """Read a range of positive slopes of a static map. Raises `BadRequest` with the reason for any
-    other: a descending pair, and one that holds zero or negative slopes."""
+    other range, such as a descending pair or one with zero or negative slopes."""
     lower, upper = read_slope_range(name, slopes)
     swapped = f"give ({upper:g}, {lower:g})"
     require(lower <= upper, name, slopes, "are descending: the lowest comes first", swapped)

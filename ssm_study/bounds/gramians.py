@@ -26,8 +26,8 @@ def controllability_gramian(a: Square, b: InputMatrix, horizon: int | None = Non
     sum_k A^k B B^T (A^T)^k`, over `horizon` samples or, for a stable model, over all: `W = A W A^T
     + B B^T`.
 
-    Controllability's; observability's is that of `(A^T, C^T)`. Raises `BadRequest` for an infinite
-    horizon on a model that is not stable. Source: [Z26] eq. (9), without the scaffolding.
+    The observability Gramian is that of `(A^T, C^T)`. Raises `BadRequest` for an infinite horizon
+    on a model that is not stable. Source: [Z26] eq. (9), without the scaffolding.
     """
     if horizon is None:
         eigenvalues = np.linalg.eigvals(a)
@@ -124,8 +124,8 @@ def bound_local_controllability(
     trajectory. The states can be steered in both directions along any input if `(A, B)` is
     controllable and `mu_u > 0`.
 
-    Of `(A^T, C^T)`: along any trajectory nearby states can be told apart, if `(A, C)` is observable
-    and `mu_y > 0`.
+    For `(A^T, C^T)` this is observability: along any trajectory nearby states can be distinguished,
+    if `(A, C)` is observable and `mu_y > 0`.
     """
     order = len(a)
     gramian = controllability_gramian(a, b, order)

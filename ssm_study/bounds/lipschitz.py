@@ -6,8 +6,8 @@ Neurons of slopes `lo <= hi`, diagonal `T_l > 0`: the network is 1-Lipschitz if
     |v|^2 - |W d|^2 - 2 sum_l (d_l - lo q_l)^T T_l (hi q_l - d_l) > 0     for all (v, d) != 0
     (q_l = W_l d_{l-1})
 
-Source: Fazlyab et al. 2019, eq. (10). Decided in rational arithmetic on the stored floats, so no
-rounding of the maker's and no word of a file is believed.
+Source: Fazlyab et al. 2019, eq. (10). It is decided in rational arithmetic on the stored floats, so
+neither rounding nor a statement in a file is trusted.
 """
 
 from collections.abc import Sequence

@@ -36,8 +36,8 @@ def lipsdp_ball(
 ) -> tuple[Float[np.ndarray, "k m"], float]:
     """Smallest ball of matrices that provably contains every Jacobian of a network, by semidefinite
     programming (LipSDP). Centre and least radius with `|J(v) - centre|_2 <= radius` for every v,
-    for any centre or (`scalar_centre`) for a centre `alpha I`. Raises `BadRequest` as stated
-    above."""
+    for any centre or (`scalar_centre`) for a centre `alpha I`. Raises `BadRequest` if the solver
+    fails."""
     hidden = [len(b) for b in network.biases]
     multipliers = [cp.Variable(h, nonneg=True) for h in hidden]
     shape = (network.output_count, network.input_count)

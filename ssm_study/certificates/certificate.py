@@ -1,6 +1,6 @@
 """Certificates of a design, or the reasons why there are none, and the JSON file that stores them.
 
-Which fields a certificate has is its theorem's matter (`synthesis.theorem`). Source: [Z26],
+Each theorem declares the fields of its certificate (`certificates.theorem`). Source: [Z26],
 docs/theory.md.
 """
 
@@ -225,8 +225,8 @@ class Infeasible:
     """Reason why a design has no certificate for its controller or for its observer. It is a
     result, not an error; `rate_limit` says which rate was possible.
 
-    `proved`: the exact frontier (or a hypothesis) excludes it for every method; otherwise this one
-    found nothing.
+    `proved` is true if the exact frontier (or a hypothesis) excludes the rate for every method;
+    otherwise only the method that was used found nothing.
     """
 
     theorem: str
@@ -259,7 +259,7 @@ WITHDRAWN = "withdrawn in 0.2"
 class Design:
     """Controller and observer with their certificates; either may be missing, with the reason.
 
-    `extra_certificates`: what is proved of the pair as deployed, by the names of the file.
+    `extra_certificates` are those about the deployed pair of gains, by their names in the file.
     `withdrawn`: entries of an older file that are not claimed any more, as they were read.
     """
 

@@ -56,7 +56,7 @@ class Frontier:
 def controller_frontier(system: System, ball: JacobianBall) -> Frontier:
     """Exact limit of the contraction rate that can be certified for a system by some state
     feedback. The frontier of Theorem 1 for `x+ = A x + B S_u(u)`; that of Theorem 2 is the dual
-    system's (`problem.dual`).
+    system's (`problem.dual_system`).
 
     With neurons it is the worst over frozen slopes, which no certificate goes beyond and few
     attain. Raises `BadRequest` for matrices that are not finite.
@@ -75,9 +75,9 @@ def contraction_frontier(a: Square, b: InputMatrix, ball: JacobianBall) -> Front
     ball of Jacobians. Infimum of the `r` at which `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S
     Bh))`.
 
-    A ball that holds zero (`|alpha| <= beta`) leaves the open loop's own contraction; modes the
-    input does not reach keep theirs. In between several inputs need a scalar search within
-    closed-form brackets, which meet for one input.
+    If the ball contains zero (`|alpha| <= beta`), the limit is the open loop's own contraction; it
+    is never below that of the modes which the input does not reach. Otherwise several inputs need a
+    scalar search within closed-form brackets, which meet for one input.
     """
     for label, matrix in (("a", a), ("b", b)):
         is_finite = bool(np.isfinite(matrix).all())

@@ -179,4 +179,4 @@ def linear_algebra_failures_as_no_solution() -> Iterator[None]:
     try:
         yield
     except np.linalg.LinAlgError as error:
-        raise NoSolution(f"beyond what floats hold: {error}") from error
+        raise NoSolution(f"the numbers exceed floating point: {error}") from error

@@ -2,9 +2,9 @@
 verified.
 
 A theorem is one file in `theorems/` with one final class: its fields are what `certificate.json`
-stores, its `conditions` block matrices, stated once with `+, -, *, @, .T`; in which numbers
-(floats, exact ones, a solver's expressions) is for the caller to say. How floats are decided:
-docs/theory.md, "The verdict".
+stores, its `conditions` block matrices, stated once with `+, -, *, @, .T`; the caller chooses the
+numbers (floats, exact ones, a solver's expressions). How floats are decided: docs/theory.md, "The
+verdict".
 """
 
 import importlib
@@ -112,9 +112,9 @@ def scaled_condition_number(matrix: Float[np.ndarray, "n n"]) -> float:
 class VerificationContext:
     """Data that a verifier computes from the model file, to compare them with a stored certificate.
 
-    `system` is the model's recurrence and `controlled` what the state feedback acts on (with
-    integral action another); `gains` are those of the parts that stand beside this one in the file,
-    by their letter.
+    `system` is the model's recurrence. `controlled` is the system on which the state feedback acts;
+    with integral action it is larger than the model. `gains` are the gain matrices of the other
+    parts of the file, by their letter.
     """
 
     system: Any

@@ -22,7 +22,7 @@ def explain_hydra_error(error: BaseException, overrides: list[str], folder: Path
     message = first_error_line(error)
     if isinstance(error, OverrideParseException):  # its grammar's tokens say nothing to a reader
         problem = f"{error.override} cannot be read"
-        remedy = "write KEY=VALUE, in a sweep KEY=VALUE,VALUE, and close what you open"
+        remedy = "write KEY=VALUE, in a sweep KEY=VALUE,VALUE, and close all brackets and quotes"
     elif match := UNKNOWN_CHOICE.search(message):
         group = match[1]
         name = match[2]
@@ -82,7 +82,7 @@ def refuse_dashed_settings(overrides: list[str], folder: Path) -> None:
     """Raise `BadRequest` for a setting that is written with dashes like an option, such as
     `--model.order 4`.
 
-    Also for an option that is nearly one of ours; to others Hydra answers.
+    It is also raised for an option that resembles one of `ssm-study`; Hydra answers to all others.
     """
     for word in overrides:
         refuse_misspelt_option(word)
@@ -140,10 +140,10 @@ def similar_settings(key: str, keys: list[str]) -> list[str]:
 
 
 def compose_without_key(key: str, overrides: list[str], folder: Path) -> DictConfig:
-    """Compose the configuration without the command-line overrides of a misspelt key. Only choices
-    stay, and of a sweep the first of each.
+    """Compose the configuration without the command-line overrides of a misspelt key. Only
+    overrides that name a choice stay; of a sweep over choices, the first.
 
-    What names no choice says nothing about what was meant.
+    Other overrides say nothing about what was meant.
     """
     from hydra import compose, initialize_config_dir
     from hydra.core.global_hydra import GlobalHydra

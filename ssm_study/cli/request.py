@@ -110,7 +110,7 @@ def refuse_empty_dictionaries(request: HydraCommandLine) -> None:
         key = str(override.key_or_group)
         value = override.value()
         changes = value != {} or override.type is not OverrideType.CHANGE
-        problem = "changes nothing: what it holds is added to what is there"
+        problem = "has no effect, because its entries are merged into those that are there"
         require(changes, key, value, problem, f"write {key}=null for none, or name a choice")
 
 

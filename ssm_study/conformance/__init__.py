@@ -1,8 +1,8 @@
 """Tests that every plant, static map, theorem, model and experiment must pass: `pytest --pyargs
 ssm_study.conformance`.
 
-Judged is every yaml of a group, ours and those of trusted packages (`ssm_study.extensions`); `-k
-NAME` judges one.
+They test every yaml of a group, of this package and of trusted packages (`ssm_study.extensions`);
+`-k NAME` tests one.
 """
 
 from functools import cache

@@ -109,8 +109,8 @@ def quick_synthesis_overrides(synthesis: str) -> tuple[str, ...]:
 def _switch_off_checks_and_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Switch off the checks of array shapes and the figures, because whole runs are tested here.
 
-    No generator: of a module that jaxtyping checks, pytest would take its fixture for one that
-    returns.
+    It is no generator, because in a module that jaxtyping checks pytest would mistake one for a
+    function that returns.
     """
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
     # Each draws the same two figures, for a third of its time.

@@ -126,8 +126,8 @@ def signal_array_and_names(
     """Convert a signal, given as an array, series or data frame, to a numeric array and the names
     of its channels. Columns of a frame are taken in the order of `columns`.
 
-    Raises `BadRequest` for what is no table of finite real numbers, lies on its side, or has other
-    channels.
+    Raises `BadRequest` for values that are no table of finite real numbers, for a transposed table,
+    and for other channels.
     """
     if isinstance(values, pd.DataFrame) and columns is not None:
         values = select_columns(values, name, columns)

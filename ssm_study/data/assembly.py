@@ -1,8 +1,8 @@
 """Assembly of a data set from records, with its scaling about the equilibrium and the checks that
 every record must pass.
 
-And a data set as named arrays and one json-able dictionary, and back, bit for bit: how the store
-keeps it.
+Also the conversion of a data set to named arrays and one dictionary for JSON, and back, bit for
+bit, as the store needs it.
 """
 
 from collections.abc import Sequence

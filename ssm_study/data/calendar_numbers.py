@@ -2,7 +2,8 @@
 seconds.
 
 `20260305100000` is a date, `46086.4167` a day of a spreadsheet, `738586.4167` one of MATLAB,
-`1772700000000` milliseconds since 1970. Read as seconds each of them is wrong without a word.
+`1772700000000` milliseconds since 1970. Read as seconds, each of them would be wrong without any
+warning.
 """
 
 import numpy as np
@@ -100,7 +101,7 @@ def describe_day_numbers(title: str, numbers: Times) -> str:
     """Description of the calendar from which numbers count days, as in a spreadsheet; empty for
     numbers that are no days.
 
-    The name says it, or the step is a round number of seconds as days and none as it stands.
+    The title says so, or the time step is a round number of seconds only if the numbers count days.
     """
     low = float(numbers.min())
     high = float(numbers.max())

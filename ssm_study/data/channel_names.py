@@ -20,8 +20,8 @@ def name_channels(
     """Give the input, output or disturbance channels of a recording their names and units.
     Recordings store signals under plain names: `Motor voltage (V)` becomes `Motor_voltage_V`.
 
-    A number says which side it is of, `input_0`; so does every name of separate files, where two
-    may be equal.
+    A column number becomes a name with its side, such as `input_0`; so does every name in separate
+    files, where two may be equal.
     """
     columns = as_name_tuple(names)
     stated_units = as_name_tuple(units)

@@ -290,7 +290,7 @@ def refuse_uneven_times(steps: ClockTimes, median_s: float, source: str, resampl
     percentiles = [5, 95]
     low, high = np.percentile(steps, percentiles)
     spread = float(high - low) / median_s
-    problem = f"the periods differ by {spread:.0%} of their median, {median_s:.4g} s: no clock"
+    problem = f"the periods are uneven, by {spread:.0%} of their median, {median_s:.4g} s"
     remedy = (
         "log at even times; or set data.resample=true to interpolate onto a uniform clock, "
         "data.step_s if the median is not its period"

@@ -47,7 +47,7 @@ def stated_time_unit_s(title: str, stated_unit: str) -> float | None:
     stated.
 
     `time(ms)`, `time_ms`, `t [ms]`, `time ms`, `millis`, `min`. Raises `BadRequest` for a unit that
-    is none of time.
+    is no unit of time.
     """
     if stated_unit:
         trimmed_unit = stated_unit.strip()
@@ -122,9 +122,8 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
 
     Its values must increase (a clock written with few digits may stand still); where a title has a
     clock's word beside others, `t_now`, or is a unit alone, `min`, they must not stand still
-    either. The first column of
-    a matrix, `data:1`, has no name either and must run evenly. A nameless column that counts rows
-    is none: nobody knows how long a row lasts.
+    either. The first column of a matrix, `data:1`, has no name either and must run evenly. A column
+    without a title that counts rows is no clock, because it does not say how long a row lasts.
     """
     free = [title for title in table.columns if title not in signals]
     named = [title for title in free if is_time_title(title)]
@@ -244,8 +243,8 @@ def clock_column_seconds(
 ) -> tuple[ClockTimes, str]:
     """Convert the times in a log's time column to seconds, and describe the unit that they had.
 
-    Whole numbers without a unit, several apart, are taken for seconds with a doubt, unless the
-    sampling time is stated: they may count milliseconds.
+    Whole numbers without a unit that are several apart may count milliseconds: unless the sampling
+    time is stated, they are taken for seconds with a doubt.
     """
     numbers = table.columns[title]
     is_dated = title in table.dated

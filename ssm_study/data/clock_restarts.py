@@ -52,7 +52,8 @@ def resample_experiments(
     """Bring the rows of each experiment in a log file to evenly spaced times, one experiment at a
     time.
 
-    Raises `BadRequest` as that does, and for experiments of different sampling times.
+    Raises `BadRequest` as `resample_to_even_clock` does, and for experiments of different sampling
+    times.
     """
     restarts = find_time_restarts(time_s)
     row_count = len(time_s)

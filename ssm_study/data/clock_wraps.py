@@ -1,7 +1,7 @@
 """Correction of clocks that step back because a counter overflows or summer time ends.
 
 A counter of 16 or 32 bits begins again at zero; local time repeats an hour in autumn. Both are
-undone only where the clock then runs on at its own period; nothing else that runs backwards is.
+corrected only if the clock then continues at its own period; no other backward step is.
 """
 
 import numpy as np

@@ -1,11 +1,12 @@
 """Replacement of the input in a closed-loop log by the part of the input that the known set point
 explains.
 
-A fit from the one to the other takes the controller for part of the plant where noise is slow. What
-the set point r explains of the input, `u_r = F r`, knows nothing of the noise: `y = G u_r + S v`;
-the model is fitted to `u_r` and y (two stages). F has `LAGS` samples, by which the input's answer
-must be over; of a nonlinear plant it is the best linear part. Of a PI `u = u_eq + gain (e + i)`, `e
-= r - y`, r is `y + e`. Source: Van den Hof & Schrama, Automatica 29 (1993) 1523-1527.
+A fit from input to output would mistake the controller for a part of the plant where noise is slow.
+What the set point r explains of the input, `u_r = F r`, knows nothing of the noise: `y = G u_r + S
+v`; the model is fitted to `u_r` and y (two stages). F has `LAGS` samples, within which the input
+must have responded; for a nonlinear plant it is the best linear approximation. Of a PI `u = u_eq +
+gain (e + i)`, `e = r - y`, r is `y + e`. Source: Van den Hof & Schrama, Automatica 29 (1993)
+1523-1527.
 """
 
 from collections.abc import Sequence
@@ -86,10 +87,12 @@ def reconstruct_pi_set_point(log: Trajectory, gain: float, integral_s: float) ->
         shape == single_channels,
         field,
         shape,
-        "inputs and outputs, of which a PI has one each",
+        "are the log's numbers of inputs and outputs, of which a PI needs one each",
         remedy,
     )
-    problem = "of the samples are at a limit of the input, where the applied input is not the PI's"
+    problem = (
+        "is the share of samples at a limit of the input, where the applied input is not the PI's"
+    )
     lowest = u.min()
     at_lowest = float((u == lowest).mean())
     highest = u.max()

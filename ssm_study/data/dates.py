@@ -61,7 +61,7 @@ def dates_to_seconds(cells: list[str]) -> DateSeconds:
     cell without a date becomes NaN.
 
     `03/04/2026` may be March or April: the order under which the times increase is taken. Raises
-    `AmbiguousDatesError` where both do and differ.
+    `AmbiguousDatesError` if they increase under both and the results differ.
     """
     series = pd.Series(cells, dtype=str)
     of_day = series.str.extract(f"^{TIME_OF_DAY}$")

@@ -2,7 +2,7 @@
 noise.
 
 Lags come from least squares on increments: `dy[k]` on `du[k] ... du[k - LAGS]` and two earlier
-`dy`; a lag answers where its coefficient is `SURE` standard errors from zero.
+`dy`; the output responds at a lag whose coefficient is `SURE` standard errors from zero.
 """
 
 from collections.abc import Sequence
@@ -48,8 +48,8 @@ Signal = Float[np.ndarray, "T"]
 @dataclass(frozen=True, kw_only=True)
 class ExplainedVariance:
     """Fractions of the variances of the output, and of its change over a time window, that the
-    input explains. Also the share of its level that the output loses over that window, and at that
-    pace over the log."""
+    input explains. Also the share of its level by which the output decays over that window, and at
+    that pace over the log."""
 
     level: float
     change: float
@@ -70,7 +70,7 @@ def describe_log_dynamics(
 ) -> list[str]:
     """Describe in sentences the plant dynamics in a log: delay, integrator, feedback, noise.
 
-    Between interpolated samples an output moves before its input does, so that they show no
+    An output between interpolated samples moves before its input, so such samples cannot show
     feedthrough.
     """
     record = max(records, key=len)
@@ -287,8 +287,9 @@ def feedback_error_reduction(u: Signal, y: Signal) -> float:
     """Fraction by which past outputs reduce the error of predicting the input; a large fraction is
     a sign of feedback from output to input.
 
-    An input that its own past foretells, as a sweep of sines, needs more of that past than the few
-    outputs that a controller reads: else outputs stand for inputs of long ago.
+    An input that can be predicted from its own past, such as a sweep of sines, needs more past
+    samples than the few outputs that a controller reads: otherwise the outputs stand in for earlier
+    inputs.
     """
     affordable = len(u) // (4 * FEWEST_LAGS)
     past = max(FEWEST_LAGS, min(INPUT_LAGS, affordable))
@@ -314,11 +315,11 @@ def explained_output_variance(u: Signal, y: Signal) -> ExplainedVariance:
     """Fractions of the output's variance that the input explains, over the time window for which
     they are largest.
 
-    The window is the shortest over which the input explains most of the output's changes: over a
-    long one a plant with an integrator is turned round (a position must come back), a plant without
-    one has settled. Where there is none, it is the window whose changes are explained best. What is
-    lost over the log is the most that this window and somewhat longer ones show: within a dead time
-    nothing is lost yet.
+    The window is the shortest over which the input explains most of the output's changes, or else
+    the one whose changes are explained best. Over a longer window an integrating plant has reversed
+    its motion (a position must come back), and any other plant has settled. The decay over the log
+    is the fastest of this window and somewhat longer ones, because within a dead time nothing has
+    decayed yet.
     """
     best = ExplainedVariance(level=0.0, change=0.0, lost=1.0, lost_in_log=np.inf, window=0)
     for window in WINDOWS:
@@ -333,8 +334,7 @@ def explained_output_variance(u: Signal, y: Signal) -> ExplainedVariance:
 
 
 def with_fastest_decay(u: Signal, y: Signal, explained: ExplainedVariance) -> ExplainedVariance:
-    """Copy of the explained variances in which the output's decay is the fastest over several
-    longer time windows."""
+    """Explained variances with the fastest decay of the output over several longer time windows."""
     longer = [w for w in WINDOWS if explained.window < w <= LONGER * explained.window]
     able = [window for window in longer if len(u) >= 8 * window]
     losses = [explained_variance_over_window(u, y, window).lost_in_log for window in able]

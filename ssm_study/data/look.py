@@ -284,7 +284,7 @@ def examine_signals(
 ) -> LogReading:
     """Read the input and output of a log as a study would read them, and describe their dynamics.
 
-    Where the sampling time alone is missing, lags, rests and noise are those of the samples.
+    If only the sampling time is missing, lags, rests and noise are computed from the samples alone.
     """
     try:
         records, remark = source.read_pieces(path)

@@ -257,7 +257,7 @@ def _read_groups(path: Path, field: str) -> tuple[tuple[SignalGroup, ...], dict[
     require(ends, field, path, "the data section has no end", remedy)
     counted = len(records_by_type[records.Message])
     promised = {one.message_count for one in records_by_type[records.Statistics]}
-    problem = f"{max(promised, default=0)} messages promised, {counted} found"
+    problem = f"{max(promised, default=0)} messages are announced, and {counted} were found"
     remedy = "record it again"
     require(promised <= {counted}, field, path, problem, remedy)
     groups: list[SignalGroup] = []

@@ -14,8 +14,8 @@ def list_unread_contents(path: Path) -> list[str]:
     """Names of everything in an MCAP recording that this project's reader ignores, such as
     attachments.
 
-    Attachments, further metadata records, topics without numbers, a topic that stands twice:
-    a viewer shows them as the recording's own.
+    Attachments, further metadata records, topics without numbers, a topic that occurs twice: a
+    viewer would show them as parts of the recording.
     """
     groups, _ = read_mcap(path)
     topics = {group.topic for group in groups}

@@ -1,7 +1,7 @@
 """Records of an MCAP file, with every checksum verified.
 
-The library's own stream reader unpacks each number of each message by itself, and the index of
-messages, which nothing here needs. Read that way, the recordings of a run take over twice as long.
+The library's own stream reader takes over twice as long for the recordings of a run: it unpacks
+each number of each message by itself, and the index of messages, which nothing here needs.
 """
 
 import struct

@@ -114,12 +114,12 @@ class RecordedData(ColumnSettings, ScaledRecordedSource):
     """Data set from recorded logs of one plant, each of which is cut into training, validation and
     test.
 
-    The rests of whole logs are `mismatch_records` (`splits.rest_segments`), and so are repeated
-    periods where every log is made of such (`splits.periodic_segments`), although they train, too.
-    Of logs made in a closed loop, where `reference` or `controller` is told, the input is what the
-    set point makes of it (`closed_loop`). The columns `disturbance` are measured, and no actuator
-    moves them: they drive model and observer by a path of their own. The settings:
-    conf/data/recorded.yaml.
+    Segments at rest of whole logs are `mismatch_records` (`splits.rest_segments`), and so are
+    repeated periods if every log consists of such (`splits.periodic_segments`), although these
+    train, too. If `reference` or `controller` is stated, the logs were recorded in a closed loop,
+    and the input is replaced by the part that the set point explains (`closed_loop`). The columns
+    `disturbance` are measured but not commanded: they drive model and observer by a path of their
+    own. The settings: conf/data/recorded.yaml.
     """
 
     path: Names
@@ -173,7 +173,7 @@ class RecordedData(ColumnSettings, ScaledRecordedSource):
         remedy = "name intervals for data.validation and data.test"
         require(is_whole, "data.validation, data.test", named, "one is missing", remedy)
         is_free = self.split == "auto" and is_unnamed and not has_test
-        problem = "the parts are named too"
+        problem = "validation and test are stated as well"
         remedy = "leave out data.split, validation, test and test_path"
         require(self.fold is None or is_free, "data.fold", self.fold, problem, remedy)
 
@@ -182,7 +182,7 @@ class RecordedData(ColumnSettings, ScaledRecordedSource):
         with a set point."""
         both = (self.reference, self.controller)
         is_single = None in both
-        problem = "one is enough"
+        problem = "only one of them can be given"
         remedy = "name the set point alone"
         require(is_single, "data.reference, data.controller", both, problem, remedy)
         if self.controller is None:
@@ -297,7 +297,7 @@ class RecordedData(ColumnSettings, ScaledRecordedSource):
 
     def _read_logs(self, field: str, outputs: str, before: int = 0) -> "list[_LogWithRemarks]":
         """Read every log, and replace the input of closed-loop logs by the part that the set point
-        explains. The share of the input in that part is noted."""
+        explains. The share of the input's power in that part is noted."""
         source = self
         if self.reference is not None:
             columns = [*as_name_tuple(self.input), *as_name_tuple(self.reference)]

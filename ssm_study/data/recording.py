@@ -50,7 +50,7 @@ class ColumnSettings:
     `decimal` and `header` state what is otherwise found in a text. `decimate` n keeps every n-th
     output and the mean input of the n samples from there on: what a hold would have applied.
     `differentiate` turns a position into the velocity `y[k] = (q[k] - q[k-1]) / step_s`, whose
-    running sum times `step_s` is the position again, exactly; the first sample is spent on it.
+    running sum times `step_s` is the position again, exactly; the first sample is used up by it.
     """
 
     input: Names
@@ -145,7 +145,7 @@ class ColumnSettings:
         """Read a range of samples of a log file as one record in physical units. Outputs come from
         `output_path` where it is given.
 
-        Raises `BadRequest`, always in one sentence; also for a log with holes, which is several.
+        Raises `BadRequest`, also for a log with gaps, which consists of several records.
         """
         pieces, remark = self.read_pieces(path, output_path, first=first, last=last)
         remedy = "cut the file there, or name it data.path alone"
@@ -328,9 +328,9 @@ class ColumnSettings:
     def _times_from_row_numbers(
         self, contents: Table, length: int
     ) -> tuple[ClockTimes | None, list[str]]:
-        """Times of a log whose first column has the row numbers instead of times. They are in
-        seconds in a file without names (which the evidence doubts), None where the sampling time is
-        given; refused otherwise."""
+        """Times of a log whose first column has the row numbers instead of times. In a file without
+        names they count as seconds (which the evidence doubts); they are None if the sampling time
+        is stated. Raises `BadRequest` otherwise."""
         if not has_row_number_column(contents):
             return None, []
         if self.step_s is not None:
@@ -354,8 +354,8 @@ class _LogFile:
 
 @dataclass(frozen=True, kw_only=True)
 class Recording(ColumnSettings):
-    """One experiment in a log file, given by the file, its columns and a range of samples. It has
-    samples `first` to before `last` of the columns of the file at `path`."""
+    """One experiment in a log file, given by the file, its columns and a range of samples. It
+    consists of the samples `first` to `last - 1` of the file at `path`."""
 
     path: str
     first: int = 0

@@ -29,9 +29,9 @@ def find_scattered_clock(
     """Find evenly spaced times around which the recorded times of a log scatter without drift; None
     if there are none. None if there is none.
 
-    A line through the times of all stretches, with one slope `h`. Every time lies within half a
-    period of it, and a deviation says nothing about the next one: a clock that wanders, or jumps,
-    is late for many rows on end.
+    Lines with one slope `h` are fitted to the times of all stretches. Every time must lie within
+    half a period of its line, and a deviation must say nothing about the next one: a clock that
+    wanders or jumps is late for many rows on end.
     """
     if not stretches:
         return None

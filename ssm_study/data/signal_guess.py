@@ -134,7 +134,7 @@ def doubtful_guess_sentences(
     are_named: tuple[bool, bool],
 ) -> list[str]:
     """Sentences on columns whose titles suggest an input or output but which cannot be read or are
-    constant. The guess would go around them.
+    constant. The guess would pass over them.
 
     `are_named` says of input and output whether the user named them, so that nothing is guessed.
     """

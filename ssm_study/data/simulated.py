@@ -67,7 +67,7 @@ class SimulatedData:
     Validation and test, one record each, are excited by `scoring_excitation` whatever the training
     excitation is, so that runs compare. Every record of the three parts starts at the plant's
     equilibrium; `trials` are for the mismatch. `fresh_sets` further data sets, which neither fit
-    nor design sees, show what the proof of a design would need of them.
+    nor design sees, show how much model error the proof of a design would have to cover in them.
     """
 
     trajectories: int
@@ -182,8 +182,8 @@ def simulate_mismatch_records(
     and slow returns to equilibrium. Two periods at each of `SHARES` and then rest; free decays from
     each of `DECAYS`; noise of that `noise_deviation`.
 
-    Then slow returns from each of `RETURNS`, and rest: friction lets go of a jump to rest, not of a
-    slow return.
+    Then slow returns from each of `RETURNS`, and rest: friction may hold the plant away from rest
+    after a slow return, but not after a jump.
     """
     rest = plant.equilibrium()
     clock_period_samples = round(plant.input_clock_s / plant.step_s)

@@ -141,22 +141,22 @@ def cut_out_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajec
 
 
 def rest_segments(record: Trajectory) -> list[Trajectory]:
-    """Segments of a record in which the input is constant at the value that it has at the end.
-    There are none in a record that ends moving. Measured disturbances count as inputs.
+    """Segments of a record in which the input is constant at the value that it has at the end. A
+    record that ends in motion has none. Measured disturbances count as inputs.
 
-    A stretch counts that lasts half as long as the last one. What the plant does there is evidence;
-    no fit uses it.
+    A segment counts if it lasts at least half as long as the last one. Segments serve as evidence;
+    no fit uses them.
     """
     return [record[a:b] for a, b in _rest_ranges(record)]
 
 
 def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Trajectory]:
     """Segments of a record in which the input is periodic, between segments of constant input. Half
-    of the constant segment before and all of the one behind belong to them.
+    of the constant segment before and all of the one behind belong to each.
 
-    `ssm-study excite` writes one for each amplitude: what its second period does not repeat is
-    noise. Nothing of a log that moves otherwise, too: a few equal pulses would stand for all that
-    it shows.
+    `ssm-study excite` writes one for each amplitude: the part of the output in which the periods
+    differ is noise. A log that also moves otherwise has none, because a few equal pulses would then
+    stand for the whole log.
     """
     rests = _rest_ranges(record, includes_beginning=True)
     if not rests or rests[0][0] != 0:

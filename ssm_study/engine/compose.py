@@ -70,8 +70,8 @@ class HydraCommandLine(Hydra):
     """Command line of a Hydra application whose configuration files lie in one folder. It does with
     the arguments what `hydra.main` does.
 
-    `config` is composed when first asked for, and is what `do` then runs: it can be checked before
-    Hydra makes the callbacks, the launcher and the sweeper that it names.
+    `config` is composed when first needed, and is what `execute` then runs: it can be checked
+    before Hydra makes the callbacks, the launcher and the sweeper that it names.
     """
 
     def __init__(self, arguments: list[str], folder: Path, name: str) -> None:

@@ -150,8 +150,8 @@ def record_death(
     """Record that the process of a run died, unless the run has a final record, and return the
     run's outcome. A failure with `text` as traceback is recorded if no process works on the run.
 
-    Not where another process than `pid` began the run: a sweep that was killed meanwhile left it,
-    and it is only lost.
+    Nothing is recorded if another process than `pid` began the run: then a killed sweep left it,
+    and it counts as lost.
     """
     with file_lock(folder / LOCK, PATIENCE_S) as mine:
         # Under the lock: another sweep may have finished the run in the meantime.

@@ -100,10 +100,10 @@ class Stages(ABC):
         *before: StageOutput[Any],
     ) -> StageOutput[T]:
         """Compute one step (stage) of a run, or reuse its stored result if the settings are the
-        same. `compute` receives them as `parts` (the settings themselves where that is None).
+        same. `compute` receives the `parts`, by default the settings themselves.
 
-        Of the two the key depends on `settings` alone: what changes no result stands in `parts`. A
-        plan has no files, so values may be asked for only inside the functions of a stage.
+        The key depends on `settings` alone, so values that change no result belong into `parts`. A
+        plan has no files, so the value of a stage may only be read inside the functions of a stage.
         """
         arguments = settings if parts is None else parts
         computed: list[T] = []

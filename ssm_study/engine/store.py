@@ -160,8 +160,8 @@ def _remove_abandoned_folders(temporary: Path, final: Path) -> None:
     """Remove the temporary folders that killed processes left. A checkpoint in them (`CHECKPOINT`)
     moves to the new folder, to continue from.
 
-    Another node may be at work beyond our lock: its folder stays for `ABANDONED_S`, and what it
-    saved is copied.
+    Another node, which our lock does not reach, may still be at work: its folder stays for
+    `ABANDONED_S`, and its checkpoint is copied.
     """
     for leftover in final.parent.glob(f".tmp-{final.name}-*"):
         if leftover == temporary:
@@ -184,8 +184,8 @@ def write_manifest(
     folder to disk.
 
     `leave_out` names entries directly in `folder` that may change later; they are synchronised, not
-    sealed. A manifest that was cut short seals nothing, so it needs no replacing; what makes the
-    folder count comes after it (the rename of a stage, the record of a run).
+    sealed. An incomplete manifest seals nothing, so it need not be written atomically: a folder
+    counts only after the next step (the rename of a stage, the record of a run).
     """
     manifest = folder / MANIFEST
     paths = sorted(path for path in folder.rglob("*") if path != manifest)

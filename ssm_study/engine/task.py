@@ -41,9 +41,9 @@ class Task(ABC, Generic[R]):
     """Base class of a program's task: checks a configuration, runs the computing steps of a run,
     and completes the record.
 
-    Hydra calls `job`. The settings have the keys `study`, `results_dir`, `run` (`${run_name:...}`),
-    `retry_failed` and `dry_run`; all others are the task's own. `libraries` are the distributions
-    whose versions a record notes.
+    Hydra calls `run_job`. The settings have the keys `study`, `results_dir`, `run`
+    (`${run_name:...}`), `retry_failed` and `dry_run`; all others are the task's own. `libraries`
+    are the distributions whose versions a record notes.
     """
 
     libraries: tuple[str, ...] = ()
@@ -84,8 +84,8 @@ class Task(ABC, Generic[R]):
         """Import everything that the jobs of a sweep would import, once before the first job is
         forked.
 
-        `stages_to_compute` names the stages that several jobs will compute; what only other stages
-        take is left to the job.
+        `stages_to_compute` names the stages that several jobs will compute; modules that only other
+        stages need are left to the job.
         """
 
     def provenance(self) -> Facts:

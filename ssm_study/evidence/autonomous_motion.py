@@ -48,11 +48,12 @@ def predicted_power_shares(case: EvidenceCase) -> tuple[float, float] | None:
     """Fractions of the output's power that the model predicts: in free runs from an estimated
     initial state, and in a simulation from the beginning of the log. One is estimated in each
     piece, the other continues from the log before the piece: `1 - |y - y_hat|^2 / |y|^2`, about the
-    means of each piece, over those that validate or test behind others.
+    means of each piece, over the validation and test pieces that have another piece of their log
+    before them.
 
     The first is of free runs from the piece's own estimated state, the second of runs from the
-    beginning of the log. Means are taken off, for an integrator keeps an offset. None where no
-    piece lies behind another of its log.
+    beginning of the log. Means are taken off, for an integrator keeps an offset. None if there is
+    no such piece.
     """
     skip = case.data.start_up_samples
     scale = case.data.scale.output_scale

@@ -158,8 +158,8 @@ def judge_instability(
     """Findings on a log whose plant is unstable or integrates its input.
 
     In open loop sensor noise makes a mode look slower, and integrators of noise stay below
-    `GROWTH`. A loop's noise moves it either way, so that only `UNSTABLE` is clear, and models of
-    many lags show it.
+    `GROWTH`. In a closed loop noise moves the estimate either way, so that only `UNSTABLE` is
+    clear, and models of many lags show it.
     """
     whole = replace(data, training=(*data.training, *data.validation, *data.test))
     fitted_data = data if is_closed_loop else whole

@@ -150,8 +150,8 @@ def withhold_predictions(columns: dict[str, Any], evidence_level: str | None) ->
     """Remove the predictions about the plant from the table columns of a design if the records do
     not support them.
 
-    The proof of coverage stays in the certificate; that the records show an error it covers does
-    not hold of records that cannot be judged.
+    The coverage certificate stays in the design, but records that cannot be judged do not show
+    which model error it covers.
     """
     if evidence_level != CANNOT_JUDGE:
         return columns

@@ -67,8 +67,8 @@ def _join_scaled_records(case: EvidenceCase, records: tuple[Trajectory, ...]) ->
 def _range_sentences(case: EvidenceCase) -> Iterator[str]:
     """Sentences on test records whose input or output leaves the range of the training records.
 
-    Where a model integrates its input, the level of its output is no condition that it was trained
-    at: its next change is the same at every level.
+    If a model integrates its input, it does not matter at which level of the output it was trained:
+    its next change is the same at every level.
     """
     trained = _join_scaled_records(case, case.data.training)
     sides = [("input", 0)] if model_integrates(case) else [("input", 0), ("output", 1)]
@@ -141,8 +141,8 @@ def count_input_changes(data: DataSet) -> int:
 def _saturation_findings(case: EvidenceCase) -> Iterator[Finding]:
     """Findings on an output that stays at its largest or smallest value while the input moves.
 
-    A machine that comes to a stop reads zero, too: from the log alone a dead zone cannot be told
-    from a sensor that ends there.
+    A machine that comes to a stop reads zero, too: the log alone cannot distinguish a dead zone
+    from the end of a sensor's range.
     """
     outputs = np.concatenate([record.y for record in case.data.training]).T
     for i, (channel, column) in enumerate(zip(case.data.outputs, outputs, strict=True)):
@@ -167,7 +167,7 @@ def _saturation_findings(case: EvidenceCase) -> Iterator[Finding]:
 def saturated_share(case: EvidenceCase, output_index: int, limit: float) -> float:
     """Fraction of the training samples at which a moving output is at a limit of its sensor.
 
-    Counted are stretches in which the input still moves and which the output enters at speed: a
+    Only stretches count in which the input still moves and which the output enters at speed: a
     machine at rest, or inside a dead zone, comes to its extreme slowly and once.
     """
     samples = 0

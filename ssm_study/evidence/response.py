@@ -84,8 +84,8 @@ def multiple_coherence(records: Sequence[Record], segment_length: int) -> Float[
     """Multiple coherence between inputs and output at each frequency, for the output with the
     lowest coherence.
 
-    Spectra are averaged over all records: where the input rests in one of them, the others tell.
-    Zero without power.
+    Spectra are averaged over all records: where the input rests in one record, the others count. It
+    is zero without power.
     """
 
     def cross_spectra(first_signal: int, second_signal: int) -> Complex[np.ndarray, "F r c"]:

@@ -20,7 +20,8 @@ from ssm_study.robustness.return_to_rest import (
 
 def judge_return_to_rest(case: EvidenceCase, mismatch: Mismatch) -> Iterator[Finding]:
     """Findings on a plant that does not come to rest, or whose records do not show whether it does.
-    A plant that does not come to rest is not judged; records that leave it open give a note."""
+    A plant that does not come to rest gives a doubt; records that do not show whether it does give
+    a note."""
     offset = max((*mismatch.stuck, *_remaining_offsets_of_test_records(case)), default=0.0)
     left = mismatch.left_at_rest
     if not mismatch.plant_comes_to_rest:

@@ -59,10 +59,10 @@ def render_c_files(
 ) -> dict[str, str]:
     """Names and texts of the C files of a controller: header, source and replay program.
 
-    `prefix` prefixes every symbol and file. Besides numbers the header says its origin, a line per
-    signal, the digest of the certificate and the rates of the rounded numbers. Raises `BadRequest`
-    for a name that C does not allow. Compiled with `-DMONITOR` the code has the `monitor`, or does
-    not compile where there is none.
+    The name of every symbol and file begins with `prefix`. Besides numbers the header says its
+    origin, a line per signal, the digest of the certificate and the rates of the rounded numbers.
+    Raises `BadRequest` for a name that C does not allow. Compiled with `-DMONITOR` the code has the
+    `monitor`, or does not compile where there is none.
     """
     require_c_identifier(prefix)
     comments = {
@@ -171,7 +171,7 @@ def _count_constants(c_code: str) -> int:
 
 def escape_comment(text: str) -> str:
     """Replace characters of a text that would end a C comment or continue it on the next line. The
-    text may come from whatever name somebody gave a study."""
+    text may contain any name that a user gave a study."""
     return re.sub(rf"[^A-Za-z0-9 .,:;()\[\]%+=_'^/-]|\.\.\.|{LONELY_SLASH}", "_", text)
 
 

@@ -40,8 +40,8 @@ LARGEST_HOLDING_INPUT = 1e-4
 class SetPoints:
     """Maps from set points to equilibria of the controller's model, and from equilibria to set
     points. `to_lifted (k, q)` is `G^+`, `at_rest (n, k)` is `(I - A)^{-1} B` over zeros, `seen (q,
-    k)` is G. With neurons each is a line through stored points, which misses what S_y reads by at
-    most `missed`.
+    k)` is G. With neurons each is piecewise linear through stored points, and misses the argument
+    of S_y by at most `missed`.
 
     A model whose outputs all integrate rests at any of them with its input at equilibrium, so
     `inward` is None: k counts its integrators, `at_rest` has the states that a unit of each holds.
@@ -190,7 +190,8 @@ def _interpolated_set_points(
     inverse_output_map: InverseMap,
 ) -> SetPoints:
     """Maps between set points and equilibria of a model with neurons, by interpolation between
-    every second of the tabulated equilibria. The others show the error."""
+    every second of the tabulated equilibria. The points between show the error of the
+    interpolation."""
     lifted = full.lifted[::2]
     read = full.read[::2]
     x = full.x[::2]

@@ -213,7 +213,7 @@ def _describe_set_point_error(device: DeviceController) -> tuple[str, ...]:
 def as_python_control(run: Path) -> Any:
     """Controller of a run as a nonlinear system of the library python-control.
 
-    It is what `controller.py` makes elsewhere.
+    The exported file `controller.py` makes the same system.
     """
     with TemporaryDirectory() as folder:
         controller_path = Path(folder) / "controller.json"
@@ -290,7 +290,7 @@ def _describe_rounding_error(run: Path, device: DeviceController) -> tuple[str, 
     """Text on how much rounding of the controller's numbers changes the simulated loop; empty in
     double precision.
 
-    From rest one output scale off.
+    The loop starts at rest, one output scale away from the equilibrium.
     """
     if device.set_point_maps is None or device.real == "double":
         return ()

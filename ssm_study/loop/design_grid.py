@@ -37,7 +37,7 @@ class RandomDesignTable(ComparisonTable):
     their simulated behaviour on the true plant.
 
     The default choice, if any, is row 0. A row holds rates, gains, what is predicted
-    (`synthesis.mismatch`), the response area on the model, and what the true plant did over the
+    (`robustness.prediction`), the response area on the model, and what the true plant did over the
     run's own horizon: `stable_count` of `initial_conditions` with and without measurement noise
     (`stable_count_noise_free` is the one to judge by where noise alone crosses the band), settling
     times, cases that left the bound, and what the noise-free ones that do not settle do.

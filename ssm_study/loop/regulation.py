@@ -175,9 +175,9 @@ class LoopRuns:
     """Simulations of one closed-loop experiment: plant, plant without control, and model.
 
     `on_model` is `LoopExperiment.run_on_model`, None for a controller that has no model;
-    `settling_band` in the output's unit. `noise_free`: without measurement noise, where that alone
-    crosses the band; settling is then judged on it. `quiet`: without measurement noise, whatever it
-    does; None where there is none.
+    `settling_band` in the output's unit. `noise_free` is a simulation without measurement noise,
+    made if the noise alone crosses the band; settling is then judged by it. `quiet` is one without
+    measurement noise in any case; None if the plant has no noise.
     """
 
     controlled: Rollouts

@@ -300,7 +300,7 @@ def _solve_newton(
 ) -> Vector:
     """Root of a vector function, found by Newton's method with damped steps.
 
-    The last point where no step improves.
+    Returns the last point if no step improves it.
     """
     value = residual(start)
     for _ in range(NEWTON_STEPS):

@@ -1,9 +1,9 @@
 """Best of several simple models, reported for comparison with the model fitted to a log.
 
 ARX, output error and polynomial NARX of several sizes are fitted to the training records. The one
-that simulates the validation records best is scored on the test records. So is the kind of initial
-state from which it runs: measured outputs, a state estimated from the first samples, or one
-simulated from the log before (`models.baselines.starts`).
+that simulates the validation records best is scored on the test records. The kind of initial state
+from which it runs is chosen in the same way: measured outputs, a state estimated from the first
+samples, or one simulated from the log before (`models.baselines.starts`).
 """
 
 from collections.abc import Sequence

@@ -28,8 +28,8 @@ class BilinearSpec(SolvedSpec):
 
     With a `rate` the matrices have norms below it, so that the model contracts in open loop; null
     leaves them free. Levenberg-Marquardt on the error of the free run, at most `steps` steps from
-    each of `starts` starts: the linear model of ARX, and random matrices around it. The best of the
-    validation records is taken.
+    each of `starts` starts: the linear model of ARX, and random matrices around it. The model with
+    the best fit to the validation records is taken.
     """
 
     sizes: ClassVar = ("order", "starts", "steps")
@@ -77,7 +77,7 @@ class BilinearSpec(SolvedSpec):
                 candidates.append(candidate)
             except np.linalg.LinAlgError:  # the records do not excite as many states
                 continue
-        problem = "no start leads to a model of these records"
+        problem = "the fit of the records diverges from every start"
         require(candidates, "model.order", self.order, problem, "use fewer states")
         return max(candidates, key=lambda model: validation_fit_percent(model, data))
 

@@ -51,7 +51,7 @@ def mean_simulation(runs: Sequence[Simulation]) -> Simulation:
 
 def member_columns(members: Sequence[Any], data: DataSet) -> dict[str, Any]:
     """Table columns on the mean of several models: how many there are, and the fits of the mean. A
-    single member is another model that predicts in its place."""
+    single member is another model that predicts in place of the chosen one."""
     if not members:
         return {}
     validation, test = simulate_ensemble_mean(members, data)

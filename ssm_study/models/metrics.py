@@ -219,10 +219,10 @@ def estimate_initial_state(
     Gramian of the states that the input reaches.
 
     W is that of the lifted input of the record, or of the one that is given (a decay has no input
-    of its own), over its length, so a state that the input
-    cannot reach is not invented to fit the noise; a mode near the unit circle, whose Gramian over
-    all time is singular, does no harm. The current sample's output error is linearised through the
-    model and solved by Gauss-Newton. Rest where an unstable model leaves no finite solution.
+    of its own), over its length, so a state that the input cannot reach is not invented to fit the
+    noise; a mode near the unit circle, whose Gramian over all time is singular, does no harm. The
+    current sample's output error is linearised through the model and solved by Gauss-Newton. The
+    state is zero if an unstable model leaves no finite solution.
     """
     lifted = model.driving_signals(record.u, record.d)
     first_outputs = record.y[:samples]

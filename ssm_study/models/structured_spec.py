@@ -49,8 +49,8 @@ class TrainablePiecewiseMap:
     sorted `points`.
 
     Its parameters in order: `free (c, h + 1)`, then `points (c, h)`; without break points (`knots`)
-    the identity, which has none. Behind the channels come `passed` ones that pass as they are:
-    measured disturbances.
+    the identity, which has none. The last `passed` channels are measured disturbances, which stay
+    unchanged.
     """
 
     channels: int
@@ -241,7 +241,7 @@ class StructuredSpec(ModelSpec):
         require(inside, "model.rate", self.rate, "must lie in (0, 1]", remedy)
         require_at_least(0, "model.ridge", self.ridge, "use 1e-6")
         share = self.gain_share
-        problem = "is a share of the largest gain"
+        problem = "must be a share of the largest gain, from 0 to below 1"
         is_share = 0 <= share < 1
         require(is_share, "model.gain_share", share, problem, "use 0.05, or 0 for none")
         steps = self.start_steps

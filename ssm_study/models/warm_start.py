@@ -37,9 +37,9 @@ class InitialStateChoice:
     """Initial states of validation and test records, simulated over the preceding log, and whether
     they give smaller errors than estimated ones.
 
-    `choice` is None where no record has a past: then its first samples are all there is.
-    `is_undecided` says that the two are so near that rounding on another machine may choose the
-    other.
+    `choice` is None where no record has a past: then initial states can only be estimated from
+    first samples. `is_undecided` says that the two are so near that rounding on another machine may
+    choose the other.
     """
 
     choice: str | None

@@ -167,7 +167,7 @@ def refuse_wrong_signs(
     """Raise `BadRequest` for physical constants of a plant that have the wrong sign or are not
     finite.
 
-    `positive` None: every one that is not among `not_negative`.
+    By default every constant that is not among `not_negative` must be positive.
     """
     if positive is None:
         positive = tuple(name for name in vars(plant) if name not in not_negative)

@@ -244,7 +244,8 @@ def input_limit_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row
 def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     """Rows of a run's printed results on whether the proof covers the recorded model error.
 
-    Below one it covers nothing, and no share is printed; of an older run the tolerance is.
+    Below one the proof covers nothing and no share is printed; for an older run the tolerated gain
+    is.
     """
     label = "Model error covered"
     coverage = record.get("coverage")

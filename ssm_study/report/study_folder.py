@@ -166,8 +166,8 @@ class StudyFolder:
     """Files of a study for figures and page: its table and its run folders by name. `others` are
     studies shown beside it.
 
-    A run of another study is named by its path from `folder`; `shown` names a run to take for the
-    best. Raises `BadRequest` where a table is missing.
+    A run of another study is named by its path from `folder`; `shown` names a run that is shown in
+    place of the best. Raises `BadRequest` where a table is missing.
     """
 
     folder: Path

@@ -1,8 +1,8 @@
 """Model error `e = y - y_model` in the records, by frequency and input amplitude, with noise
 removed.
 
-A closed loop maps `e` back to `u`; what it tolerates is `synthesis.prediction`. What a record shows
-of `e` holds where it has been, so there is one `ModelErrorAtAmplitude` for each amplitude:
+A closed loop maps `e` back to `u`; `robustness.prediction` says what it tolerates. What a record
+shows of `e` holds where it has been, so there is one `ModelErrorAtAmplitude` for each amplitude:
 
     in total        g    = ||e||_2 / ||u||_2
     by frequency    g(w) = sqrt(S_e(w) / S_u(w)),            measured in every band: nothing stands

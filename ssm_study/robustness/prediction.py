@@ -146,11 +146,9 @@ def _group_by_amplitude(
 ) -> list[tuple[JacobianBalls, Mismatch]]:
     """Group the recorded model errors by input amplitude, each with the slopes of the static maps
     at this amplitude. The two largest amplitudes and closed-loop records are combined with all
-    slopes.
-    The smaller amplitudes, up to the second largest, speak of loops that swing no wider than its
-    sinusoid, whose peak is `sqrt(2)` times its root mean square: of one S_u they meet the slopes
-    within it, not those at an actuator's limit.
-    """
+    slopes. The smaller amplitudes, up to the second largest, speak of loops that swing no wider
+    than its sinusoid, whose peak is `sqrt(2)` times its root mean square: with a single input they
+    meet only the slopes of S_u within that range, not those at an actuator's limit."""
     views = mismatch.views
     if len(views) < 3 or model.scaffold_in.inputs > 1:
         return [(balls, mismatch)]
@@ -326,8 +324,9 @@ def largest_loop_gain(mismatch: Mismatch, loop: LoopResponse) -> float:
 def _may_hide_limit_cycle(
     smaller: AmplitudeCondition, larger: AmplitudeCondition, largest_gain: float
 ) -> bool:
-    """Whether a limit cycle may exist at an amplitude between two recorded input amplitudes. This
-    is open where not both pass by small gain and no infinite gain has decided already."""
+    """Whether a limit cycle may exist at an amplitude between two recorded input amplitudes. It may
+    unless both amplitudes pass by small gain; where the gain is infinite already, nothing is left
+    to decide."""
     larger_gain = max(smaller.small_gain, larger.small_gain)
     pass_by_small_gain = larger_gain < max(largest_gain, 1.0)
     is_undecided = np.isfinite(largest_gain)

@@ -1,9 +1,9 @@
 """Offset and oscillation of an output that remain after the input has become constant.
 
-Returns on which the model was trained count too: nothing here asks it. At the equilibrium's input
-an output should rest at the equilibrium; at another, each return is compared with the mean of the
-others: a single one tells the motion only. Source: docs/trust.md, "Neither proved nor measured: the
-prediction".
+Returns on which the model was trained count too, since no prediction of the model is used here. At
+the equilibrium's input an output should rest at the equilibrium; at another, each return is
+compared with the mean of the others: a single return shows the motion only. Source: docs/trust.md,
+"Neither proved nor measured: the prediction".
 """
 
 import numpy as np
@@ -49,9 +49,9 @@ def oscillations_and_offsets_after_returns(
     """Oscillations and offsets that the outputs of several records still have after the input has
     returned to a constant value.
 
-    Returns count that outlast the model's response; without any, all that came to rest from `FAR`
-    away, where each did: a model may have a slow mode that the plant has not. Nothing is said where
-    a single return, at an input other than the equilibrium's, came to rest.
+    Returns count that last longer than the model's response. If there are none, all count, provided
+    that each came to rest from `FAR` away: the model may have a slow mode that the plant lacks. A
+    single return that came to rest at another input than the equilibrium's says nothing.
     """
     motions = list[float]()
     offsets = list[float]()

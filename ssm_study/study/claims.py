@@ -114,8 +114,7 @@ def check_records(run: RunFiles) -> Claims:
     """Check a run's measured or simulated data against its configuration, by simulating or reading
     the data again.
 
-    A recording of somebody else's may be elsewhere by now: then what follows from it is not
-    checked.
+    If a log is no longer where it was, the values that follow from it are not checked.
     """
     reason = run.missing_log_reason
     if reason:
@@ -196,7 +195,7 @@ def check_initial_states(run: RunFiles, records: DataSet, split: str) -> Iterato
     """Check that free runs of a model start from the kind of initial state that `record.json`
     states.
 
-    Records of 0.1 know no choice: they begin with the first samples.
+    Runs of version 0.1 had no choice: their initial states are estimated from the first samples.
     """
     stored = getattr(run.model_run, split).starts
     is_from_past = any(state is not None for state in stored)

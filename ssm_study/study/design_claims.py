@@ -123,7 +123,7 @@ def missing_certificate_reasons(run: RunFiles) -> dict[str, str]:
 def missing_column_reasons(run: RunFiles) -> dict[str, str]:
     """Columns that a record of an earlier version lacks, each with the reason.
 
-    So a column that somebody took out of an older record is named among what is not checked.
+    So a column that was removed from an older record is listed as not checked.
     """
     design = run.design
     if not design.feasible:

@@ -25,8 +25,8 @@ def reproduce(run: Path, job: Callable[[DictConfig], object]) -> tuple[list[str]
     """Run the configuration of a finished run again with an empty store, and compare the two
     records.
 
-    Returns what `compared` says. Raises `BadRequest` for a folder that holds no finished run or no
-    configuration.
+    Returns what `compare_records` returns. Raises `BadRequest` for a folder that holds no finished
+    run or no configuration.
     """
     then = read_record(run) or {}
     remedy = "give the folder of a run that is ok or infeasible"

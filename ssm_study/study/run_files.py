@@ -271,7 +271,7 @@ def refuse_repeated_keys(file: str, pairs: list[tuple[str, Any]]) -> dict[str, A
 def find_unknown_entries(stored: Any, written: Any, parent_path: str = "") -> list[str]:
     """Find entries of a stored JSON object that the program would ignore, by their dotted paths.
 
-    Nobody checks them.
+    No check covers them.
     """
     paths: list[str] = []
     if isinstance(stored, list) and isinstance(written, list):

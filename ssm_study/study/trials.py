@@ -1,9 +1,9 @@
 """Closed-loop trials whose records serve to measure the error between plant and model again.
 
-With `refine=2` the choice runs on the plant, its records join those for the mismatch, and it is
-made again; twice. With `refine=[first.csv,second.csv]` the records are the user's logs of trials,
-columns and clock as in the run's own data. What such a record shows: `synthesis.mismatch`. Source:
-docs/trust.md, "The loop as a record".
+With `refine=2` the chosen controller runs on the plant, the records of this trial join those for
+the mismatch, and the choice is made again; this happens twice. With `refine=[first.csv,second.csv]`
+the records are the user's logs of trials, columns and clock as in the run's own data. What such a
+record shows: `robustness.mismatch`. Source: docs/trust.md, "The loop as a record".
 """
 
 from collections.abc import Sequence
@@ -90,7 +90,8 @@ def records_from_loops(run: Rollouts) -> Trajectories:
 def read_trial_logs(paths: Sequence[str], data: "RecordedSource", step_s: float) -> Trajectories:
     """Read the user's logs of closed-loop trials with the column names and units of the run's data.
 
-    Raises `BadRequest` as they do, and for another sampling time.
+    Raises `BadRequest` for logs that the run's own data source would refuse, and for another
+    sampling time.
     """
     source: Any = data
     columns: ColumnSettings = source if isinstance(source, ColumnSettings) else source.training[0]

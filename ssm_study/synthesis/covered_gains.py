@@ -76,9 +76,10 @@ class GainSearch:
         """Fastest certified design of a random search that has the required coverage (ratio of
         proved to recorded model error); None if there is none.
 
-        A proof keeps a little less than its frequencies promise, so the search aims beyond the
-        target. Where it ends between target and aim, the proof is tried nevertheless; where a proof
-        keeps too little, the search goes on for as much more, and ends if it finds nothing better.
+        A proof covers a little less than the computation by frequency suggests, so the search aims
+        beyond the target. If it ends between target and aim, the proof is tried nevertheless. If a
+        proof covers too little, the search aims higher by what was missing, and ends if it finds
+        nothing better.
         """
         wanted_coverage = coverage_overestimate_factor(self.model) * target_coverage
         proved_gains: Gains | None = None
@@ -280,8 +281,8 @@ def is_worth_another_round(coverages: Sequence[float], target_coverage: float, r
     """Whether a random search for gains is worth a further round, given the best coverage (ratio of
     tolerated to recorded model error) after each round.
 
-    The first `rounds` always do. Beyond them the search must earn its time: at the pace of the last
-    `rounds`, as many again would reach the target.
+    The first `rounds` always are. After them a round is worth it only if as many rounds again, at
+    the pace of the last `rounds`, would reach the target.
     """
     done = len(coverages) - 1
     if done < rounds:

@@ -4,11 +4,10 @@
 
 Pairs that are faster than the open loop on the model come before all others: a controller that does
 next to nothing is safe, and helps nobody. Faster also from the starts of recorded decays: an output
-that falls by itself before the observer knows is only stirred up by a fast controller. The mismatch
-is not a number but a sample: the fastest design that just passes is the one that any optimism of
-the measured mismatch lets through.
-Source: docs/closed_loop.md, "Rates chosen for you"; of the margin: docs/theory.md, "Small gain for
-the plant".
+that falls by itself before the observer knows is only stirred up by a fast controller. The measured
+mismatch is a sample of the true one: the fastest design that just passes is the one that profits
+most from a mismatch measured too small. Source: docs/closed_loop.md, "Rates chosen for you"; of the
+margin: docs/theory.md, "Small gain for the plant".
 """
 
 from collections.abc import Iterator

@@ -132,7 +132,8 @@ def relative_response_areas(
     area hardly sees a faint tail, on which the time to settle turns; the time does not see what
     lies beyond the horizon. Observers start from zero. Gains with an internal model are also judged
     by how soon they remove loads that it makes, constant ones with integrators. No noise, scaled
-    units, inputs within `limits`, where it is `equilibrium_basis`. Below one is faster than none.
+    units, inputs within `limits`, where it is `equilibrium_basis`. Below one the loop is faster
+    than without control.
     """
     loaded = len(gains.modes) > 0
     x0, load, horizon = comparison_scenario(model, validation, has_loads=loaded)

@@ -177,8 +177,9 @@ def certificate_from_paper_lmi(
     """Contraction certificate from the linear matrix inequality exactly as it is printed in the
     paper [Z26]. Any solution with the block matrix `>= I` is taken.
 
-    One attempt at the asked rate, no frontier consulted, nothing repaired: a second opinion for
-    every record. A certificate, certified or not; `Infeasible` without matrices.
+    There is one attempt at the requested rate, without the frontier and without repairs, as a
+    second opinion for every record. Returns a certificate, certified or not, or `Infeasible` if the
+    solver returns no matrices.
     """
     method = LmiSynthesis(
         rate_controller=rate, rate_observer=rate, objective="feasibility", full=True

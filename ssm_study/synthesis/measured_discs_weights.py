@@ -51,8 +51,8 @@ def initial_weights(
     forms: LoopForms, centre: float, multipliers: Float[np.ndarray, "A"]
 ) -> Float[np.ndarray, "G"]:
     """Initial weight of each free signal of the closed loop, such as the model error: its diagonal
-    element in the loop's quadratic form. It is one for |e|^2, its multiplier for |p|^2, and so
-    on."""
+    element in the loop's quadratic form. The weight of the model error e is one; that of a signal
+    of a static map is the map's multiplier."""
     order = len(forms.a)
     map_forms = np.tensordot(multipliers, forms.multipliers, axes=1)
     whole = forms.centred[centre] + map_forms

@@ -1,7 +1,7 @@
 """Result-table columns that describe a design: feasible, certified, distance from the largest rate,
 predicted stability.
 
-Rates and limits: docs/theory.md, [Z26]; margins: `synthesis.mismatch`.
+Rates and limits: docs/theory.md, [Z26]; margins: `robustness.prediction`.
 """
 
 from dataclasses import replace

@@ -175,9 +175,9 @@ def least_guaranteed_cost(problem: Problem, start_solution: Solution | None = No
     """Gain with the smallest guaranteed cost for a model with neurons, and the matrices that
     certify this gain. Raises `NoSolution` if the search stops before the requested rate.
 
-    It starts from the multipliers of `start_solution` where they hold: as they must, scaled up, if
-    that is a solution at a faster rate, since smaller weights and a slower rate only relax the
-    inequality. Without any it is the solution.
+    It starts from the multipliers of `start_solution` if they are admissible. Scaled up they must
+    be if that solution has a faster rate, since smaller weights and a slower rate only relax the
+    inequality. A `start_solution` without multipliers is returned as the solution itself.
     """
     if start_solution is not None and start_solution.logs is None:
         return start_solution  # it is the solution itself
@@ -191,7 +191,7 @@ def least_guaranteed_cost(problem: Problem, start_solution: Solution | None = No
         logs, reached = continue_to_rate(game, *effort)
         if reached <= game.r:
             return solution_of_game(game, logs)
-    raise NoSolution(f"multipliers found down to a factor {reached:.4f} a sample")
+    raise NoSolution(f"multipliers were found only for factors from {reached:.4f} per sample on")
 
 
 def continue_to_rate(

@@ -85,7 +85,8 @@ class Candidate:
         """Whether errors differ so much between folds that the better of two candidate models stays
         undecided.
 
-        One standard error of the difference is then larger than that share of the other's error.
+        One standard error of the difference then exceeds the fraction `tolerance` of the other's
+        error.
         """
         other_folds = len(other.errors)
         difference = self.errors[:other_folds] - other.errors
@@ -107,8 +108,8 @@ class Candidate:
         """Whether a candidate model fits the training records far worse than another model with a
         nearly perfect fit.
 
-        What it leaves unexplained may come from a load that is not in the log; then what it
-        explains of that is chance.
+        If the other model leaves `EXPLAINED` percent or more unexplained, the comparison does not
+        count: a load that is not in the log may act, and a better fit to it is chance.
         """
         if other.training_error >= EXPLAINED:
             return False
@@ -170,9 +171,9 @@ def simplest_good_candidate(
 def good_candidates(candidates: Sequence[Candidate], tolerance: float = NEARLY) -> list[Candidate]:
     """Candidate models that are not clearly worse than the best one, in their given order.
 
-    This holds for held-out pieces and for the records on which they were trained; and none fails on
-    a fold while the best does not. Where the folds cannot tell another candidate from the best,
-    that one counts, too, on the training records.
+    They are clearly worse neither on held-out pieces nor on the records on which they were trained,
+    and none fails on a fold where the best does not. On the training records they are also compared
+    with candidates that the folds cannot distinguish from the best.
     """
     best = best_candidate(candidates)
     near = [
@@ -372,7 +373,7 @@ def is_far_worse_than_best(
 def relative_rms_error(run: Simulation, data: DataSet) -> float:
     """Root mean square simulation error relative to the output's standard deviation, in percent.
 
-    A piece in which the output hardly moves then counts for as much as it moves.
+    A piece in which the output hardly moves then has little weight.
     """
     squares = []
     for record, simulated in zip(run.records, run.simulated, strict=True):

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class OptimiserSpec(ABC):
-    """Base class of settings of the optimiser of a training. `build` returns what Lightning takes:
-    a torch optimiser over the trainable parameters, perhaps with a schedule.
+    """Base class of settings of the optimiser of a training. `build_optimiser` returns what
+    Lightning takes: a torch optimiser over the trainable parameters, perhaps with a schedule.
 
     An epoch is `calls_per_epoch` calls of it.
     """

@@ -164,7 +164,7 @@ class SettingsSearch:
 
     def is_certifiable(self, candidate: Candidate) -> bool:
         """Whether a state feedback and an observer can be certified for a candidate model. It is
-        true if the settings do not ask for that.
+        true if the settings do not require it.
 
         One of the models that were trained on the folds is enough: the chosen candidate is trained
         from many starts, of which those with a certificate come first.

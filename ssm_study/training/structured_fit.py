@@ -51,7 +51,7 @@ class StructuredFit(pl.LightningModule):
 
     So a checkpoint is the whole state, and a training that was killed goes on where it was. There
     is nothing for an optimiser of torch to do: the Jacobian is written out
-    (`Residuals.linearised`).
+    (`SimulationProblem.residual_and_jacobian`).
     """
 
     damping: torch.Tensor

@@ -27,8 +27,8 @@ class Training:
     simulation error until validation gains less than `min_gain_percent` in `patience` epochs.
 
     The settings: conf/training/default.yaml. `validation_tolerance_percent`: see
-    `BestModelCheckpoint`; the weights: see `penalty`; `integrated_share`: see `Records`; `windows`:
-    see `Windows`. Precision 32 is polished in float64.
+    `BestModelCheckpoint`; the weights: see `roughness_penalty`; `integrated_share`: see
+    `TrainingBatch`; `windows`: see `Windows`. Precision 32 is polished in float64.
     """
 
     optimiser: OptimiserSpec
@@ -50,7 +50,11 @@ class Training:
         share = self.integrated_share
         is_share = 0 <= share <= 1
         require(
-            is_share, "training.integrated_share", share, "is a share of the loss", "use 0 to 1"
+            is_share,
+            "training.integrated_share",
+            share,
+            "must be a share of the loss, from 0 to 1",
+            "use 0 to 1",
         )
         for name in ("max_epochs", "patience", "starts"):
             number = getattr(self, name)
@@ -321,7 +325,7 @@ def select_by_training_fit(
 
 def can_be_certified(spec: "ModelSpec", model: Any) -> bool:
     """Whether some state feedback and some observer can be certified for a model. It is true if the
-    settings do not ask for that."""
+    settings do not require it."""
     rule = getattr(spec, "among_starts", None)
     has_certificates = getattr(rule, "has_certificates", None)
     return has_certificates is None or bool(has_certificates(model))

@@ -155,7 +155,7 @@ def test_refusals(tmp_path: Path) -> None:
     path = written(tmp_path, r, u, y)
     settings = settings_of(path)
     controller = [1.0, 1.0]
-    with pytest.raises(BadRequest, match="one is enough; name the set point alone"):
+    with pytest.raises(BadRequest, match="only one of them can be given; name the set point alone"):
         RecordedData(**settings, reference="r", controller=controller)
     no_controllers = ([0.0, 1.0], [1.0], [1.0, -1.0])
     for controller in no_controllers:

@@ -225,11 +225,11 @@ CONTRADICTIONS["data.test_fraction = 1"] = {"test_fraction": 1.0}
 CONTRADICTIONS["nothing is left to train on"] = {"validation_fraction": 0.5, "test_fraction": 0.5}
 CONTRADICTIONS["data.split = random"] = {"split": "random"}
 CONTRADICTIONS["one is missing"] = {"validation": [[0.0, 1.0]]}
-CONTRADICTIONS["the parts are named too"] = {"fold": 1, "split": "time"}
+CONTRADICTIONS["validation and test are stated as well"] = {"fold": 1, "split": "time"}
 CONTRADICTIONS["there are 5 folds"] = {"fold": 5}
 CONTRADICTIONS["data.folds"] = {"folds": 1}
 CONTRADICTIONS["data.fold = -1"] = {"fold": -1}
-CONTRADICTIONS["one is enough"] = {"reference": "r", "controller": [1.0, 2.0]}
+CONTRADICTIONS["only one of them can be given"] = {"reference": "r", "controller": [1.0, 2.0]}
 CONTRADICTIONS["data.controller"] = {"controller": [1.0]}
 CONTRADICTIONS["is no PI"] = {"controller": [0.0, 1.0]}
 CONTRADICTIONS["integral time"] = {"controller": [1.0, 0.0]}
@@ -339,7 +339,7 @@ def test_a_pi_at_its_limits_is_refused_from_two_percent_on() -> None:
             signal[:at_limit] = -2.0
             log = record_of(sign * signal)
             if is_refused:
-                with pytest.raises(BadRequest, match="2%: of the samples are at a limit"):
+                with pytest.raises(BadRequest, match="2%: is the share of samples at a limit"):
                     reconstruct_pi_set_point(log, 1.0, 1.0)
             else:
                 reconstruct_pi_set_point(log, 1.0, 1.0)

@@ -277,7 +277,7 @@ def test_other_options_are_hydra_s() -> None:
 
 
 EMPTY = {
-    "plant={}": "changes nothing: what it holds is added to what is there",
+    "plant={}": "has no effect, because its entries are merged into those that are there",
     "model=[]": "is no name of a choice",
     "model=[1]": "is no name of a choice",
     "model=3": "is no name of a choice",

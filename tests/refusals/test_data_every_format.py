@@ -203,7 +203,7 @@ def test_times_that_no_clock_has_made_and_the_offer_to_resample(
     clock: dict[str, object] = {"step_s": 0.01}
     if suffix != ".mcap":
         clock["time"] = "t"
-    refused(path, r"no clock; .*data\.resample=true", **clock)
+    refused(path, r"periods are uneven, .*data\.resample=true", **clock)
     build(path, resample=True, **clock)
 
 

@@ -257,7 +257,7 @@ WRONG_FOLD = [
     ({"fold": 5}, r"data.fold = 5: there are 5 folds; count them from 0"),
     ({"folds": 1}, r"data.folds = 1: must be at least 2"),
 ]
-NAMED_PARTS = r"data.fold = 0: the parts are named too"
+NAMED_PARTS = r"data.fold = 0: validation and test are stated as well"
 FOLD_OF_NAMED_PARTS = [
     ({"fold": 0, "split": "blocks"}, rf"{NAMED_PARTS}; leave out data.split"),
     ({"fold": 0, "test_path": "test.csv"}, NAMED_PARTS),
@@ -298,7 +298,7 @@ def test_rows_that_no_clock_has_made_are_refused_and_resampling_offered(tmp_path
     output = np.sin(t)
     path = csv(tmp_path, t=t, y=output, u=np.cos(t))
 
-    words = r"no clock; .*data\.resample=true.*ssm-study look"
+    words = r"periods are uneven, .*data\.resample=true.*ssm-study look"
     with pytest.raises(BadRequest, match=words):
         data(path, step_s=None).build(0)
     built = data(path, step_s=0.01, resample=True).build(0)

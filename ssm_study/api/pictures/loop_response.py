@@ -76,8 +76,9 @@ def set_point_picture(
 ) -> Picture:
     """Picture of the closed loop's response to a step of the set point, without noise.
 
-    `size` in the output's unit; without it the largest share of the output's scale in `SIZES` that
-    an input within the limits of `loop` holds. Raises `EmptyPictureError` where none does.
+    `size` is in the output's unit. By default it is the largest share of the output's scale, among
+    those in `SIZES`, at which an input within the limits of `loop` can hold the output. Raises
+    `EmptyPictureError` if there is none.
     """
     controller = ObserverFeedback.from_design(model, design)
     output_scale = model.scale.output_scale

@@ -88,8 +88,8 @@ def _nearest_discs(
     """Discs of model error at the amplitude whose discs come nearest to the point -1, with their
     distance.
 
-    Of an amplitude's two descriptions, by size alone and with the phase of its linear part, the one
-    that lies farther away counts: either is sufficient.
+    Each amplitude has two descriptions, by size alone and with the phase of its linear part. Either
+    is sufficient for stability, so the one whose discs lie farther away counts.
     """
     angles = np.maximum(ANGLES, 1e-4)
     plant, controller = plant_and_controller_responses(model, gains, angles)

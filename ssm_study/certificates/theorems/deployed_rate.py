@@ -1,8 +1,8 @@
 """Largest contraction rate that one metric proves for a given gain, often above the rate requested
 of the design.
 
-Problem. A gain K is deployed with a certificate at the rate that was asked; find the largest rate
-at which some metric certifies this very gain. For an observer the same of `(A^T, C^T, L^T)`.
+Problem. A gain K is deployed with a certificate at the requested rate; find the largest rate at
+which some metric certifies this very gain. For an observer the same of `(A^T, C^T, L^T)`.
 
 Hypotheses. Those of `state_feedback` (`observer`); the gain is given.
 

@@ -92,7 +92,7 @@ def internal_model(signal_names: Sequence[str], step_s: float, outputs: int) -> 
     nyquist = 0.5 / step_s
     for hertz, count in count_modes_by_frequency(signal_names).items():
         problem = (
-            f"half the sampling rate is {nyquist:g} Hz, and a model knows nothing from there on"
+            f"half the sampling rate is {nyquist:g} Hz, and a model has no frequency beyond it"
         )
         remedy = "name a slower sine, or sample faster"
         require(hertz < nyquist, FIELD, f"sine({hertz:g}Hz)", problem, remedy)
@@ -197,7 +197,7 @@ def controlled_system(model: Model, feedback: StateFeedback) -> System:
     """System for which a state feedback is certified: the model, together with its internal model
     if there is one.
 
-    The verifier holds this statement beside what was asked for.
+    The verifier compares this system with the requested one.
     """
     n = model.order
     if feedback.a.shape[0] <= n:

@@ -18,7 +18,7 @@ stored `K` and `Y`.
 
 When not to use it. For a map whose slopes come near zero: the rate is then limited by the open loop
 (`frontier`). For what happens on a plant that is not the model: see `measured_discs` and
-`synthesis.mismatch`.
+`robustness.prediction`.
 
 Reference. [Z26] Theorem 1, eq. (11), in the dual form that its proof derives; docs/theory.md. `Y =
 P` loses nothing.

@@ -3,8 +3,8 @@ limits hold.
 
 Problem. The input is limited: from which initial states does the loop never reach a limit?
 
-Hypotheses. Those of `state_feedback`; the estimate starts exact (`controller_init` at rest), aimed
-at the rest point.
+Hypotheses. Those of `state_feedback`; the estimate starts exact (the controller is initialised at
+rest), and the set point is the equilibrium.
 
 Statement. Let P prove a rate in (0, 1) for K (the inequality of `state_feedback`), `[l_i, h_i]` be
 the limits of input i as scaled deviations from rest, and `v` a level with, for each input and each
@@ -17,10 +17,10 @@ as long as none acts, and `|K_i x|^2 <= K_i P K_i^T x^T P^{-1} x` stays below th
 rate that is proved of the pair holds.
 
 A range of outputs is claimed only of starts at rest at the corners of a box of outputs
-(`synthesis.deployed.equilibrium_corners`): their hull and its mirror image then hold every rest
-point with outputs in the box. Of a linear S_y that couples the outputs the corners are those of the
-outputs themselves, not of what S_y maps; `verify` derives them again and decides the level set for
-them.
+(`synthesis.deployed.equilibrium_corners`): their hull and its mirror image then contain every
+equilibrium with outputs in the box. For a linear S_y that couples the outputs the corners are those
+of the outputs themselves, not of the arguments of S_y; `verify` derives them again and decides the
+level set for them.
 
 When not to use it. For an estimate that starts elsewhere (its error adds to the input), or a set
 point near a limit.

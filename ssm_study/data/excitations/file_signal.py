@@ -56,7 +56,7 @@ class FileSignal(Excitation):
         table = read_table(Path(self.path), dict.fromkeys(names, ""))
         columns = [table.columns[name] for name in names]
         values = np.stack(columns, axis=1)
-        problem = f"has {len(values)} rows and records of {request.samples} samples are needed"
+        problem = f"has {len(values)} rows, fewer than the {request.samples} samples of a record"
         remedy = "lengthen the file, or shorten data.samples"
         require(len(values) >= request.samples, "excitation.path", self.path, problem, remedy)
         for name, column in zip(names, values.T, strict=True):

@@ -83,9 +83,9 @@ class MatReader(Reader, names=(".mat",)):
     """Reader of MATLAB files. Vectors have their names, columns of matrices names such as `data:1`,
     fields of structs `log.u`.
 
-    Where the file has one matrix and nothing else, its columns also go by their numbers from 0. An
-    object that is no real numbers is named in the refusal, and never makes the others unreadable;
-    refuses a file that is not whole.
+    Where the file has one matrix and nothing else, its columns also go by their numbers from 0.
+    Objects that are no real numbers are named in the error message, and never make the others
+    unreadable. Raises `BadRequest` for an incomplete file.
     """
 
     def read_columns(self, path: Path, names: list[str]) -> Table:
@@ -252,8 +252,8 @@ def _parse_variable(data: bytes, order: str, owner: str = "") -> Iterator[tuple[
     """Iterate over the named values in one variable of a MATLAB 5 file; a struct or cell array
     contains several. Fields of structs and cells of cell arrays have names of their own.
 
-    What kind of object it is is looked at before its shape: objects of new classes have neither
-    shape nor name where matrices have them.
+    The kind of an object is read before its shape, because objects of new classes have no shape and
+    name in the places where matrices have them.
     """
     parts = list(_iterate_elements(data, order))
     if not parts:

@@ -24,7 +24,7 @@ def parse_mat_hdf5(path: Path, max_bytes: int) -> dict[str, Shaped[np.ndarray, "
     """Read the variables of a MATLAB 7.3 file, which is an HDF5 file. Fields of structs have names
     such as `log.u`; a word stands for a value that is no real matrix.
 
-    Raises `BadRequest` where h5py is not installed, and whatever h5py raises of a damaged file.
+    Raises `BadRequest` where h5py is not installed, and whatever h5py raises for a damaged file.
     """
     try:
         import h5py

@@ -85,7 +85,7 @@ def choose_reader(path: Path, settings: TextSettings | None = None) -> Reader:
     """Choose the reader of a log file by the suffix of the file name. A file with an unknown suffix
     is read as text.
 
-    Raises `BadRequest` for a missing file and for formats that are known and not read.
+    Raises `BadRequest` for a missing file and for known formats without a reader.
     """
     remedy = "check the spelling"
     require(path.is_file(), "data.path", path, "no such file", remedy)
@@ -230,7 +230,7 @@ def require_column_index(
         counted = numbered and place != number and header is None
         if counted:
             problem = (
-                f"is the name of column {place} counted from 0, and the number of another, "
+                f"is both the name of column {place} (counted from 0) and the number of column "
                 f"{titles[number or 0]!r}"
             )
             remedy = "say which: data.header=true reads names, data.header=false numbers from 0"

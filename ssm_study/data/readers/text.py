@@ -189,15 +189,17 @@ def parse_rows(path: Path, layout: TextLayout) -> pa.Table:
             content, read_options=read, parse_options=parse, convert_options=convert
         )
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        problem = "a row that does not fit"
+        problem = "this row has another number of cells"
         remedy = "correct the file there"
         raise BadRequest(path.name, error, problem, remedy) from error
     for row in misfits:
         line = layout.line_numbers[row.number - 1]
         misfit = f"Row #{line}: Expected {row.expected_columns} columns, got {row.actual_columns}"
-        raise BadRequest(path.name, misfit, "a row that does not fit", "correct the file there")
+        raise BadRequest(
+            path.name, misfit, "this row has another number of cells", "correct the file there"
+        )
     if table.num_rows != len(rows):
-        problem = "quotation marks that open and do not close"
+        problem = "an opening quotation mark has no closing one"
         remedy = "correct the file"
         raise BadRequest("data.path", path, problem, remedy)
     return table

@@ -32,7 +32,8 @@ def simulate_by_kind_of_start(
     """Free runs of an ARX or NARX model from three kinds of initial states: measured, estimated, or
     from the preceding log.
 
-    Only the kinds that are named, and that there are: from rest, if every sample is scored.
+    Only the named kinds are tried, as far as they exist; if every sample is scored, runs start from
+    rest.
     """
     window = data.start_up_samples
     runs = {}

@@ -120,8 +120,8 @@ def scatter_plot_contents(
 
 
 def scatter_plots_with_data(table: pd.DataFrame) -> list[ScatterPlot]:
-    """Scatter plots that a study's table has enough numbers for. Fits that all but agree say
-    nothing."""
+    """Scatter plots that a study's table has enough numbers for. Plots against fits that are nearly
+    equal are left out, since they show nothing."""
     fits = numeric_column(table, "fit_test_percent")
     alike = fits.max() - fits.min() < SAME_FIT
     candidates = [panel for panel in PANELS if not (alike and panel.x == fits.name)]

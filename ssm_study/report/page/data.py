@@ -186,8 +186,7 @@ def is_test_noise_free(study: StudyFolder) -> bool:
 def page_texts(
     study: StudyFolder, table: pd.DataFrame, unplotted: Sequence[Answer]
 ) -> dict[str, Any]:
-    """Text blocks for the HTML of the report page. `unplotted` are the answers that stand beside no
-    plot."""
+    """Text blocks for the HTML of the report page. `unplotted` are answers without a plot."""
     parts: dict[str, Any] = {"title": study.name}
     parts["question"] = page_title(table)
     counts = verdict_counts(table)

@@ -30,8 +30,9 @@ def compute_synthesis(
 ) -> None:
     """Design controller and observer from the identified model and the recorded data alone.
 
-    Certificates are decided in exact arithmetic. Without evidence `auto` takes the largest margin;
-    within `limits` that are `training_inputs` (given, or a log's) it scores.
+    Certificates are decided in exact arithmetic. If the evidence allows no judgement, `auto` takes
+    the design with the largest margin. It simulates responses within the input limits, which are
+    given or the range of the training inputs.
     """
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.decay_response import simulate_decays
