@@ -344,7 +344,7 @@ def test_a_pi_at_its_limits_is_refused_from_two_percent_on() -> None:
             else:
                 reconstruct_pi_set_point(log, 1.0, 1.0)
     two = np.zeros((10, 2))
-    with pytest.raises(BadRequest, match="of which a PI has one each"):
+    with pytest.raises(BadRequest, match="of which a PI needs one each"):
         reconstruct_pi_set_point(Trajectory(u=two, y=two, step_s=0.1), 1.0, 1.0)
 
 
