@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml  # type: ignore[import-untyped]
 
+from ssm_study.certificates.decay_time import plain_digits
 from ssm_study.refusal import BadRequest, require
 from ssm_study.stored_yaml import read_stored_yaml
 
@@ -136,9 +137,11 @@ def describe_simulated_loop(design: "Design") -> str:
     mean_s = record.get("settling_time_mean_s")
     if mean_s is None:
         return words
-    words += f", in {mean_s:.3g} s on average"
+    words += f", in {plain_digits(mean_s)} s on average"
     open_loop_s = record.get("settling_time_open_loop_s")
-    return words if open_loop_s is None else f"{words} ({open_loop_s:.3g} s without control)"
+    return (
+        words if open_loop_s is None else f"{words} ({plain_digits(open_loop_s)} s without control)"
+    )
 
 
 def unproved_properties_text(design: "Design") -> str:

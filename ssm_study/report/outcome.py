@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ssm_study.certificates.decay_time import decay_time_text
+from ssm_study.certificates.decay_time import decay_time_text, duration_text
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, evidence_text
 from ssm_study.report.earlier_version import earlier_version_rows
 from ssm_study.report.run_facts import RunFacts
@@ -338,9 +338,9 @@ def closed_loop_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     time_s = record.get("settling_time_mean_s")
     open_loop_s = record.get("settling_time_open_loop_s")
     ratio = f" (ratio {time_s / open_loop_s:.2f})" if time_s is not None and open_loop_s else ""
-    mean = format_column(record, "settling_time_mean_s", ".3f", " s")
+    mean = duration_text(time_s)
     comes_to_rest = open_loop_s is not None
-    uncontrolled = f"{open_loop_s:.3f} s{ratio}" if comes_to_rest else "none settles"
+    uncontrolled = f"{duration_text(open_loop_s)}{ratio}" if comes_to_rest else "none settles"
     column = "settling_time_open_loop_s" if comes_to_rest else "settling_time_mean_s"
     yield column, "Mean settling time", f"{mean}, uncontrolled {uncontrolled}"
     yield "stable_count_pi", "A PI from the same model", pi_comparison_text(record)
@@ -353,7 +353,7 @@ def pi_comparison_text(record: Mapping[str, Any]) -> str:
     starts = format_column(record, "initial_conditions", ".0f")
     pi_time_s = record.get("settling_time_pi_s")
     own_time_s = record.get("settling_time_mean_s")
-    words = f"{format_column(record, 'settling_time_pi_s', '.3f', ' s')}, {count} of {starts}"
+    words = f"{duration_text(pi_time_s)}, {count} of {starts}"
     all_settle = record.get("stable_count_pi") == record.get("initial_conditions")
     if all_settle and pi_time_s is not None and (own_time_s is None or pi_time_s < own_time_s):
         return f"{words}: faster than the certified controller"

@@ -278,6 +278,12 @@ def test_settling_times_are_compared_where_both_are_known() -> None:
     assert rows["Mean settling time"] == "0.100 s, uncontrolled 0.000 s"
     rows = labelled(closed_loop_rows(counts))
     assert rows["Mean settling time"] == "0.100 s, uncontrolled none settles"
+    slow = {"settling_time_mean_s": 66150.0, "settling_time_open_loop_s": 221228.571}
+    rows = labelled(closed_loop_rows(counts | slow))
+    assert rows["Mean settling time"] == "66150 s, uncontrolled 221229 s (ratio 0.30)"
+    fast = {"settling_time_mean_s": 2.5e-4, "settling_time_open_loop_s": 0.00314}
+    rows = labelled(closed_loop_rows(counts | fast))
+    assert rows["Mean settling time"] == "250 µs, uncontrolled 0.00314 s (ratio 0.08)"
 
 
 def test_a_pi_that_settles_where_the_controller_does_not_is_faster() -> None:

@@ -18,6 +18,7 @@ from ssm_study.api.pictures.picture import (
     Series,
 )
 from ssm_study.certificates.certificate import Design
+from ssm_study.certificates.decay_time import plain_digits
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.motion import settling_times_s
 from ssm_study.loop.reference import StepReference
@@ -145,7 +146,7 @@ def _step_picture(
     panels = (*upper_row, *lower_row)
     ending = "does not settle"
     if time_s is not None:
-        ending = f"settles in {time_s:.3g} s"
+        ending = f"settles in {plain_digits(time_s)} s"
         if ahead:
             since_motion_s = time_s + at_s - _first_output_change_s(run)
             ending += f" ({since_motion_s:.2g} s after the output first moves)"

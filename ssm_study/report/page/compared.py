@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from ssm_study.certificates.decay_time import plain_digits
 from ssm_study.report.page.chart_looks import STROKES, Spec, framed_specification, quantitative_axis
 from ssm_study.report.words import choice_label
 from ssm_study.style import BLUE
@@ -93,7 +94,7 @@ def settled_fraction_cell(row: dict[str, Any]) -> tuple[str, str]:
     words = format_percent(share)
     time_s = row.get("settling_time_mean_s")
     if time_s is not None and not pd.isna(time_s):
-        words += f" {time_s:.3g} s"
+        words += f" {plain_digits(time_s)} s"
     shade = NOT_SETTLED.format(45 * (1 - float(share)))
     return words, shade
 

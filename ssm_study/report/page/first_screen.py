@@ -7,6 +7,7 @@ from typing import Any
 
 import pandas as pd
 
+from ssm_study.certificates.decay_time import plain_digits
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, evidence_text
 from ssm_study.report.outcome import (
     fresh_error_ratio_text,
@@ -154,10 +155,10 @@ def closed_loop_card(record: Record, loop: RecordedLoopFacts | None = None) -> C
         text += " without input limits"
     mean_s = record.get("settling_time_mean_s")
     if mean_s is not None:
-        text += f", in {mean_s:.3g} s on average"
+        text += f", in {plain_digits(mean_s)} s on average"
     alone_s = record.get("settling_time_open_loop_s")
     if alone_s is not None:
-        text += f"; uncontrolled in {alone_s:.3g} s"
+        text += f"; uncontrolled in {plain_digits(alone_s)} s"
     if record.get("stable_count_pi") is not None:
         text += f"; a PI tuned from the same model: {pi_comparison_text(record)}"
     number = f"{count:.0f} of {record.get('initial_conditions'):.0f}"

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from ssm_study.certificates.decay_time import plain_digits
 from ssm_study.report.page.first_screen import row_as_record
 from ssm_study.report.words import SETTLED, format_beside_bound
 from ssm_study.table.columns import numeric_column, text_column
@@ -56,7 +57,7 @@ def comparison_text(table: pd.DataFrame, row: int) -> str:
     """Text that compares a run with the best run in settling time, stability margin and gain."""
     own = row_as_record(table.iloc[row])
     best = row_as_record(table.iloc[0])
-    time_s = f"{own['settling_time_mean_s']:.3g} s"
+    time_s = f"{plain_digits(own['settling_time_mean_s'])} s"
     own_margin = format_beside_bound(own["resolved_margin"])
     best_margin = format_beside_bound(best["resolved_margin"])
     margins = f"stability margin {own_margin} (best run: {best_margin})"
