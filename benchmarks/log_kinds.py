@@ -193,16 +193,22 @@ def gain_by_direction(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:
 def unmeasured_input(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Two inputs act, one of them is in the log; the other is a slow load of a fifth of the
     power."""
+    u, load, to_input, to_load = responses_to_both_inputs(rng, samples)
+    return np.stack([u, load], axis=1), with_noise(rng, to_input + to_load)
+
+
+def responses_to_both_inputs(rng: Rng, samples: int) -> tuple[np.ndarray, ...]:
+    """Logged input, load, and the plant's responses to each alone: a saturating first-order lag,
+    and a slow one."""
     u = random_levels(rng, samples, 5, 40)
     load = random_levels(rng, samples, 100, 400)
     fast = rng.uniform(0.8, 0.9)
-    y = np.zeros(samples)
-    x = np.zeros(2)
-    for k in range(samples):
-        y[k] = x[0] + x[1]
-        x[0] = fast * x[0] + (1 - fast) * np.tanh(1.5 * u[k])
-        x[1] = 0.98 * x[1] + 0.02 * 0.5 * load[k]
-    return np.stack([u, load], axis=1), with_noise(rng, y)
+    to_input = np.zeros(samples)
+    to_load = np.zeros(samples)
+    for k in range(samples - 1):
+        to_input[k + 1] = fast * to_input[k] + (1 - fast) * np.tanh(1.5 * u[k])
+        to_load[k + 1] = 0.98 * to_load[k] + 0.02 * 0.5 * load[k]
+    return u, load, to_input, to_load
 
 
 def drifting_gain(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:

@@ -28,6 +28,7 @@ COLUMNS = {
     "ced": ("ced_low_ticks_per_s", "ced_high_ticks_per_s"),
 }
 SCORES = [column for columns in COLUMNS.values() for column in columns]
+MEAN = "_mean"  # behind the name of a score: of the mean of several models (`model.members`)
 SILVERBOX = {
     "silverbox": tuple(
         f"silverbox_{part}_mv" for part in ("multisine", "arrow", "no_extrapolation")
@@ -61,13 +62,15 @@ def run_of(folder: Path) -> dict[str, Any]:
     )
     benchmark = str(config.data.benchmark)
     columns = (COLUMNS | SILVERBOX)[benchmark]
-    scores = [record.get(f"score_test_{i + 1}") for i in range(len(columns))]
+    scores = {name: record.get(f"score_test_{i + 1}") for i, name in enumerate(columns)}
+    for number, name in enumerate(columns, start=1):
+        scores[name + MEAN] = record.get(f"score_members_{number}")
     known = {
         "benchmark": benchmark,
         "model": asked.get("model", "ssm"),
         "epochs_allowed": config.training.max_epochs,
     }
-    return record | known | dict(zip(columns, scores, strict=True))
+    return record | known | scores
 
 
 def row_of(model: str, runs: list[dict[str, Any]]) -> dict[str, str]:
@@ -102,7 +105,7 @@ def why_not(run: dict[str, Any]) -> str:
 
 def write_structured(out: Path, runs: list[dict[str, Any]]) -> None:
     """Every seed of the structured models, and what the seeds make of each score."""
-    columns = [*SCORES, *SILVERBOX["silverbox"]]
+    columns = [*SCORES, *SILVERBOX["silverbox"], *(name + MEAN for name in COLUMNS["ced"])]
     write_table(out / "structured_by_seed.csv", [*TOLD, *columns], runs)
     for column in columns:
         if seen := sorted(run[column] for run in runs if isinstance(run.get(column), float)):

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.models.metrics import Simulation
+from ssm_study.data.metrics import benchmark_rmse
+from ssm_study.models.metrics import Simulation, numbered_columns
 from ssm_study.models.warm_start import simulate_validation_and_test
 from ssm_study.signals import DataSet
 
@@ -50,12 +51,14 @@ def mean_simulation(runs: Sequence[Simulation]) -> Simulation:
 
 
 def member_columns(members: Sequence[Any], data: DataSet) -> dict[str, Any]:
-    """Table columns on the mean of several models: how many there are, and the fits of the mean. A
-    single member is another model that predicts in place of the chosen one."""
+    """Table columns on the mean of several models: how many there are, and the fits of the mean, on
+    a benchmark also its scores. A single member is another model that predicts in place of the
+    chosen one."""
     if not members:
         return {}
     validation, test = simulate_ensemble_mean(members, data)
     fits = (validation.fit_percent, test.fit_percent)
-    member_count = {"members": len(members)}
-    named_fits = zip(FITS, fits, strict=True)
-    return member_count | dict(named_fits)
+    columns: dict[str, Any] = {"members": len(members)}
+    columns |= zip(FITS, fits, strict=True)
+    scores = benchmark_rmse(data, test.simulated) if "benchmark" in data.metadata else ()
+    return columns | numbered_columns("score_members_", scores)

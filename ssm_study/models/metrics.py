@@ -102,6 +102,7 @@ COLUMNS = (
     ),
     Column("baseline", "string", word="Best baseline", unchecked=A_COMPARISON),
     Column("score_test_*", "Float64", "low", word="Benchmark score"),
+    Column("score_members_*", "Float64", "low", word="Benchmark score of the mean of the models"),
 )
 
 
@@ -176,9 +177,12 @@ def fit_columns(
     columns = {"fit_validation_percent": validation.fit_percent}
     columns["fit_test_percent"] = test.fit_percent
     columns["rmse_test"] = test.rmse
-    numbered_scores = enumerate(scores, start=1)
-    numbered = {f"score_test_{i}": score for i, score in numbered_scores}
-    return columns | numbered
+    return columns | numbered_columns("score_test_", scores)
+
+
+def numbered_columns(prefix: str, scores: tuple[float, ...]) -> dict[str, float]:
+    """Table columns of one score each, numbered from 1 as the test records are."""
+    return {f"{prefix}{number}": score for number, score in enumerate(scores, start=1)}
 
 
 # Variance of the output noise while estimating, scaled units: a few percent of the signal.

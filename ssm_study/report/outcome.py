@@ -147,10 +147,8 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
         yield "fit_test_members_percent", *prediction_fit_row(record, mean)
     yield "fit_baseline_percent", "Best baseline", baseline_text(record)
     yield "model_choice", "Chosen by the log", format_column(record, "model_choice")
-    for name in sorted(key for key in record if key.startswith("score_test_")):
-        unit = SCORE_UNITS.get(str(record.get("benchmark")), "")
-        number = name.removeprefix("score_test_")
-        yield name, f"Score, record {number}", format_column(record, name, ".4g", unit)
+    yield from score_rows(record, "score_test_", "Score, record")
+    yield from score_rows(record, "score_members_", "Score of the mean, record")
     names = f"{record.get('disturbances')}, at equilibrium in the loop, not compensated"
     yield "disturbances", "Measured disturbances", names
     lower = format_column(record, "input_slope_lower")
@@ -160,6 +158,14 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     if not record.get("neurons"):  # with neurons the linear part does not say it
         rate = max(1 - (record.get("spectral_radius") or 1.0) ** 2, 0.0)
         yield "spectral_radius", "Open loop", f"contracts at rate {rate:.3g} per sample"
+
+
+def score_rows(record: Mapping[str, Any], prefix: str, heading: str) -> Iterator[Row]:
+    """Rows of a run's printed results on its scores on the test records of a benchmark."""
+    unit = SCORE_UNITS.get(str(record.get("benchmark")), "")
+    for name in sorted(key for key in record if key.startswith(prefix)):
+        number = name.removeprefix(prefix)
+        yield name, f"{heading} {number}", format_column(record, name, ".4g", unit)
 
 
 def baseline_text(record: Mapping[str, Any]) -> str:

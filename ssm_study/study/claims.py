@@ -24,7 +24,7 @@ from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import Rollouts, replay_error
 from ssm_study.loop.textbook_pi import textbook_pi_columns
 from ssm_study.models.members import NAMES, member_columns
-from ssm_study.models.metrics import Simulation, fit_columns, model_size_columns
+from ssm_study.models.metrics import Simulation, fit_columns, model_size_columns, numbered_columns
 from ssm_study.models.warm_start import choose_initial_state_source, initial_state_columns
 from ssm_study.signals import DataSet
 from ssm_study.study.design_claims import check_certificate
@@ -120,7 +120,7 @@ def check_records(run: RunFiles) -> Claims:
     if reason:
         columns = (*data_metrics.COLUMNS, *evidence_metrics.COLUMNS, BY_NAME["fit_train_percent"])
         names = [column.name for column in columns if not column.setting]
-        names += [name for name in run.record if name.startswith("score_test_")]
+        names += [name for name in run.record if name.startswith("score_")]
         names += ["piece_start", "fit_test_other_start_percent"]
         names += [name for name in NAMES if name in run.record]
         names += ["excitation.mcap", "evidence.json", "labels of recordings", "predicted_stable"]
@@ -160,7 +160,7 @@ def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
         yield DerivedColumns(judged)
     if "benchmark" in records.metadata:
         scores_again = data_metrics.benchmark_rmse(records, run.model_run.test.simulated)
-        yield DerivedColumns({f"score_test_{i + 1}": score for i, score in enumerate(scores_again)})
+        yield DerivedColumns(numbered_columns("score_test_", scores_again))
     excitation = excitation_pairs(run, records)
     yield check_agreement("excitation.mcap", excitation, ITERATED, "the configuration gives it")
     for file, wrong in find_wrong_labels(run, records):

@@ -58,7 +58,8 @@ class GainSearch:
 
     `largest_area` is the slowest response allowed, in areas of the open loop on the model; `margin`
     the stability margin that the prediction must exceed. For a model with neurons, where one
-    coverage takes half a second, the slopes of coverage guide the search (`slope_search`).
+    coverage takes half a second, the slopes of coverage guide the search (`slope_search`), if the
+    solver gives them.
     """
 
     model: Model
@@ -159,7 +160,9 @@ class GainSearch:
                 evaluations=rounds * EVALUATED,
                 random=random,
             )
-            return guided.search_from(best)
+            found = guided.search_from(best)
+            if found is not None:
+                return found
         step = FIRST_STEP
         reached = [best.coverage]
         while is_worth_another_round(reached, aimed_coverage, rounds):

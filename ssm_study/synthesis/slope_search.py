@@ -77,13 +77,14 @@ class SlopeSearch:
     evaluations: int
     random: np.random.Generator
 
-    def search_from(self, start: ScoredGains) -> ScoredGains:
-        """Search for better gains; the first gains if none are better."""
+    def search_from(self, start: ScoredGains) -> ScoredGains | None:
+        """Search for better gains; the first gains if none are better, and None if the solver gives
+        no slopes of coverage there."""
         coordinates = GainCoordinates(first=start.gains)
         origin = np.zeros(coordinates.entry_count)
         at_start = sample_coverage(self.loop, coordinates, origin, self.centre)
         if at_start is None:
-            return start
+            return None
         search = _SearchState(
             settings=self,
             coordinates=coordinates,

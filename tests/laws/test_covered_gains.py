@@ -24,7 +24,7 @@ from ssm_study.synthesis.measured_discs_choice import (
     tolerated_disc_radius,
 )
 from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
-from ssm_study.synthesis.slope_search import ScoredGains
+from ssm_study.synthesis.slope_search import ScoredGains, SlopeSearch
 
 SSM_MODEL = SSM.from_linear(MODEL, 0.01)
 SHARE = 0.2  # by which the plant answers more than its model
@@ -80,6 +80,17 @@ def test_the_search_gives_the_same_gains_again(search) -> None:
     gains_k = first.gains.k
     pair_k = FAST.gain_pair.k
     assert not np.array_equal(gains_k, pair_k)
+
+
+def test_without_slopes_gains_are_searched_at_random(search, monkeypatch) -> None:
+    at_random = search.search_best_gains(FAST, 1e4, 1, AREA_TOO_LARGE)
+    asked = []
+    monkeypatch.setattr(SlopeSearch, "search_from", lambda _, start: asked.append(start))
+    structured = type(SSM_MODEL.system)
+    monkeypatch.setattr("ssm_study.synthesis.covered_gains.StructuredSystem", structured)
+    found = search.search_best_gains(FAST, 1e4, 1, AREA_TOO_LARGE)
+    assert len(asked) == 1
+    assert found.coverage == at_random.coverage > asked[0].coverage
 
 
 def test_where_nothing_covers_the_search_has_no_design(search) -> None:

@@ -152,3 +152,13 @@ def test_gains_that_may_not_be_deployed_are_never_taken(loop, coordinates) -> No
     search, _ = guided_search(loop, 1e3)
     search.is_acceptable = lambda _: False
     assert search.search_from(start) is start
+
+
+def test_without_slopes_at_its_start_the_guided_search_finds_nothing(
+    loop, coordinates, monkeypatch
+) -> None:
+    start = ScoredGains(gains=coordinates.first, area=1.0, coverage=0.1)
+    search, simulated = guided_search(loop, 1e3)
+    monkeypatch.setattr("ssm_study.synthesis.slope_search.sample_coverage", lambda *_: None)
+    assert search.search_from(start) is None
+    assert simulated == []

@@ -3,6 +3,7 @@ stays with one of them."""
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from models_cases import data_set
 from test_training_choice import training
 
 from ssm_study.api.model import Model
-from ssm_study.models.members import member_columns
+from ssm_study.models.members import member_columns, simulate_ensemble_mean
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.models.warm_start import simulate_validation_and_test
 from ssm_study.refusal import BadRequest
@@ -98,6 +99,21 @@ def test_one_model_has_no_mean_and_may_predict_in_place_of_another(
     assert columns["members"] == 1
     _, test = simulate_validation_and_test(members[0], data)
     assert columns["fit_test_members_percent"] == test.fit_percent
+
+
+def test_on_a_benchmark_the_mean_is_scored_on_each_test_record(folder: Path, data: DataSet) -> None:
+    members = read_trained_model(folder).members
+    metadata = data.metadata | {"benchmark": "ced"}
+    benchmark = replace(data, metadata=metadata)
+    columns = member_columns(members, benchmark)
+    _, test = simulate_ensemble_mean(members, data)
+    start = data.start_up_samples
+    for number, record in enumerate(data.test):
+        error = record.y[start:] - test.simulated[number][start:]
+        by_hand = np.sqrt(np.mean(error**2))
+        score = columns[f"score_members_{number + 1}"]
+        assert score == pytest.approx(by_hand, rel=1e-12)
+    assert "score_members_1" not in member_columns(members, data)
 
 
 def test_python_predicts_with_the_mean_and_says_so(folder: Path, data: DataSet) -> None:
