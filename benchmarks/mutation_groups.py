@@ -287,7 +287,8 @@ GROUPS = {
     ),
     "models": Group(
         modules=folders("models/baselines")
-        + modules_of("models", "best_baseline", "identified", "initial_system", "lazy_torch")
+        + modules_of("models", "baseline_comparison", "best_baseline", "identified")
+        + modules_of("models", "initial_system", "lazy_torch")
         + modules_of("models", "matrix_shapes", "members", "metrics", "spec", "stored")
         + modules_of("models", "structured_kernel", "torch_recurrence", "torch_scaffold")
         + modules_of("models", "torch_ssm", "warm_start"),

@@ -20,7 +20,7 @@ from ssm_study.api.model import Model
 from ssm_study.api.parts import StudyParts
 from ssm_study.api.steps import identify_model
 from ssm_study.data.look import look
-from ssm_study.models.best_baseline import baseline_columns
+from ssm_study.models.baseline_comparison import baseline_columns
 
 TABLE = REFERENCE / "benchmarks" / "public_logs.csv"
 STEPS = "training.max_epochs=25"

@@ -295,6 +295,18 @@ class DataSet:
             scale=self.scale.with_disturbances_as_inputs(),
         )
 
+    def with_one_output(self, number: int) -> "DataSet":
+        """Data set of all inputs and one output, whose number counts from zero."""
+        chosen = slice(number, number + 1)
+        records: dict[str, Trajectories] = {}
+        for part in ("training", "validation", "test", "mismatch_records"):
+            of_output = (replace(record, y=record.y[:, chosen]) for record in getattr(self, part))
+            records[part] = tuple(of_output)
+        output_scale = self.scale.output_scale[chosen]
+        equilibrium = self.scale.output_equilibrium[chosen]
+        scale = replace(self.scale, output_scale=output_scale, output_equilibrium=equilibrium)
+        return replace(self, **records, outputs=self.outputs[chosen], scale=scale)  # type: ignore[arg-type]
+
     def shift_out_dead_time(self, samples: int) -> "DataSet":
         """Remove a dead time by pairing each output with the input from as many samples before.
         Measured disturbances act without it."""

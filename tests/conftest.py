@@ -301,7 +301,7 @@ def each_text_scanned_once() -> Iterator[None]:
 def without_baselines() -> Iterator[None]:
     """Runs of a log fit no simple models to compare theirs with: a quarter of a short run."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ssm_study.models.best_baseline.baseline_columns", lambda _: None)
+        patch.setattr("ssm_study.models.baseline_comparison.baseline_columns", lambda _: None)
         yield
 
 

@@ -30,7 +30,6 @@ NARX_LAGS = (2, 3)
 NARX_DEGREES = (2, 3)
 NARX_TERMS = (4, 6, 9, 12, 16, 20)
 MOST_STARTED = 10  # regressions that are run from every kind of initial state
-VALIDATES_AS_WELL = 1.0  # point of validation fit that a baseline may be behind the best
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,12 +42,17 @@ class Baseline:
     fit_validation_percent: float
     start: str = OUTPUTS
 
+    def simulate_test(self, data: DataSet) -> Simulation:
+        """Free run of a baseline model on the test records."""
+        with np.errstate(all="ignore"):
+            runs = simulate_by_kind_of_start(self.model, data, data.test, (self.start,))
+        return runs[self.start]
+
     def test_fit_percent(self, data: DataSet) -> float:
         """Fit of a baseline model to the test records in percent; minus infinity if its simulation
         diverges."""
         with np.errstate(all="ignore"):
-            runs = simulate_by_kind_of_start(self.model, data, data.test, (self.start,))
-            return fit_or_minus_infinity(runs[self.start])
+            return fit_or_minus_infinity(self.simulate_test(data))
 
 
 def fit_best_baseline(data: DataSet) -> Baseline | None:
@@ -93,34 +97,6 @@ def fit_baselines(data: DataSet) -> list[Baseline]:
         model = fit_output_error(data, order, delay)
         output_error.append(_score_baseline(words, model, data, STARTS))
     return [*best, *output_error, *tried[MOST_STARTED:]]
-
-
-def baseline_columns(data: DataSet) -> dict[str, object] | None:
-    """Table columns on the best simple model: its test fit, and the range of test fits of models
-    with about equal validation fit.
-
-    None for several outputs, and where the records are too short for any of them. A fit is None if
-    the simulation diverges.
-    """
-    data = data.with_disturbances_as_inputs()  # a baseline knows no other path
-    tried = fit_baselines(data)
-    if not tried:
-        return None
-    best = max(tried, key=_validation_fit)
-    least_validation_fit = best.fit_validation_percent - VALIDATES_AS_WELL
-    near = [each for each in tried if each.fit_validation_percent >= least_validation_fit]
-    fits = [each.test_fit_percent(data) for each in near]
-    return {
-        "baseline": best.words,
-        "fit_baseline_percent": _none_if_infinite(best.test_fit_percent(data)),
-        "fit_baseline_lowest_percent": _none_if_infinite(min(fits)),
-        "fit_baseline_highest_percent": _none_if_infinite(max(fits)),
-    }
-
-
-def _none_if_infinite(fit: float) -> float | None:
-    """Fit in percent, or None if the fit is infinite."""
-    return fit if np.isfinite(fit) else None
 
 
 def _score_baseline(

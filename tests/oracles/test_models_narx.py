@@ -1,10 +1,13 @@
 """ARX, output error and NARX: the system is found, and what each cannot do is seen."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ssm_study.data.assembly import assemble_dataset
-from ssm_study.models import best_baseline
+from ssm_study.models import baseline_comparison
+from ssm_study.models.baseline_comparison import baseline_columns
 from ssm_study.models.baselines.regression import (
     fit_arx,
     fit_narx_models,
@@ -19,11 +22,11 @@ from ssm_study.models.baselines.starts import (
     arx_to_state_space,
     simulate_by_kind_of_start,
 )
-from ssm_study.models.best_baseline import baseline_columns, fit_baselines, fit_best_baseline
+from ssm_study.models.best_baseline import Baseline, fit_baselines, fit_best_baseline
 from ssm_study.models.warm_start import PAST, SAMPLES
 from ssm_study.refusal import BadRequest
 from ssm_study.report.outcome import baseline_text
-from ssm_study.signals import Channel, DataSet, Trajectory
+from ssm_study.signals import Channel, DataSet, Trajectory, fit_percent
 from ssm_study.training.metrics import records_fit_percent
 
 KNOWN = {1001: 1.2, 1002: -0.5, 2001: 0.3}  # y[k] = 1.2 y[k-1] - 0.5 y[k-2] + 0.3 u[k-1]
@@ -112,9 +115,8 @@ def test_output_error_is_unbiased_where_arx_is_not() -> None:
 def test_the_best_baseline_of_a_product_is_a_polynomial(monkeypatch: pytest.MonkeyPatch) -> None:
     data = records(start_up=20, product=0.15, noise=0.02)
     baselines = fit_baselines(data)
-    monkeypatch.setattr(best_baseline, "fit_baselines", lambda _: baselines)
-    best = fit_best_baseline(data)
-    assert best is not None
+    monkeypatch.setattr(baseline_comparison, "fit_baselines", lambda _: baselines)
+    best = max(baselines, key=lambda each: each.fit_validation_percent)
     assert "NARX" in best.words
     assert records_fit_percent(best.model, data.test, data) > 90.0
     model = OutputError(order=2).fit_model(data)
@@ -130,6 +132,46 @@ def test_the_best_baseline_of_a_product_is_a_polynomial(monkeypatch: pytest.Monk
     ]
     assert columns["fit_baseline_lowest_percent"] == pytest.approx(min(near))
     assert columns["fit_baseline_highest_percent"] == pytest.approx(max(near))
+
+
+def test_of_two_outputs_each_has_a_baseline_and_both_are_scored_together(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fit_small_arx(part: DataSet) -> Baseline:
+        words = f"ARX of {part.outputs[0].name}"
+        return Baseline(words=words, model=fit_arx(part, 2, 1), fit_validation_percent=0.0)
+
+    monkeypatch.setattr(baseline_comparison, "fit_best_baseline", fit_small_arx)
+    both = with_second_output(records(start_up=20, noise=0.02))
+    columns = baseline_columns(both)
+    assert columns is not None
+    assert columns["baseline"] == "y: ARX of y; speed: ARX of speed"
+    simulated = []
+    for number in range(2):
+        part = both.with_one_output(number)
+        model = fit_arx(part, 2, 1)
+        runs = simulate_by_kind_of_start(model, part, part.test)
+        simulated.append(runs[OUTPUTS].simulated[0])
+    y_hat = np.hstack(simulated)
+    by_hand = fit_percent(both.test[0].y, y_hat, 20)
+    assert columns["fit_baseline_percent"] == pytest.approx(by_hand, rel=1e-12)
+    assert baseline_text(columns).endswith("y: ARX of y; speed: ARX of speed")
+
+
+def with_second_output(data: DataSet) -> DataSet:
+    """The same records with the differences of the output as a second output."""
+    parts = []
+    for part in (data.training, data.validation, data.test):
+        parts.append(tuple(with_difference(record) for record in part))
+    rest = (np.zeros(1), np.zeros(2))
+    speed = Channel(name="speed", unit="m/s")
+    channels = ((INPUT,), (OUTPUT, speed))
+    return assemble_dataset(tuple(parts), rest, channels, data.start_up_samples)
+
+
+def with_difference(record: Trajectory) -> Trajectory:
+    differences = np.diff(record.y, axis=0, prepend=record.y[:1])
+    return replace(record, y=np.hstack([record.y, differences]))
 
 
 def test_a_wide_spread_of_baselines_is_said() -> None:

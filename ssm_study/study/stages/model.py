@@ -53,7 +53,7 @@ def compute_model(
     if identified.chosen:
         facts["chosen"] = identified.chosen
     if data.metadata.get("source") == "recorded":
-        from ssm_study.models.best_baseline import baseline_columns
+        from ssm_study.models.baseline_comparison import baseline_columns
 
         facts["baseline"] = baseline_columns(data)
     write_json(folder / "training.json", facts)
