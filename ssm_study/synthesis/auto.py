@@ -43,6 +43,7 @@ SLOWER = 1.15
 SLOWER_WITH_NEURONS = 1.6
 ROUNDS_ASKED = 40  # where a coverage is asked for
 SLOWER_ASKED = 2.5
+MOST_COVER = 9  # a little below the coverage at which the search for weights ends
 LEAST_RATE = 1e-3  # the least demanding request, where a side is left to `auto`
 
 
@@ -89,6 +90,10 @@ class Auto:
         count_modes_by_frequency(self.internal_model)
         if self.cover is not None:
             require_positive("synthesis.cover", self.cover, "use 1, or 1.5 for more")
+            is_looked_for = self.cover <= MOST_COVER
+            problem = "is more than is looked for"
+            remedy = f"ask for at most {MOST_COVER}"
+            require(is_looked_for, "synthesis.cover", self.cover, problem, remedy)
 
     def _check_grid(self, name: str, upper_bound: float, allowed_text: str) -> None:
         """Raise `BadRequest` for a grid of rates or weights that is empty or has a value out of

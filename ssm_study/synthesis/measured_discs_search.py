@@ -306,10 +306,6 @@ def _certify_largest_coverage_at_centres(
             optima.append((nu, unknowns, program))
     optima.sort(key=lambda optimum: -optimum[0])
     for nu, unknowns, program in optima:
-        if nu >= LARGEST:
-            return CoverageResult(
-                certificate=None, coverage=None, reason="no mismatch has an effect"
-            )
         coverage = _certify_optimum(context, theorem, program, nu, unknowns, started)
         if coverage is not None:
             return coverage
