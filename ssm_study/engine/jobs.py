@@ -147,8 +147,9 @@ def ended_job_outcome(job: Job) -> Outcome:
 def record_death(
     folder: Path, death: Mapping[str, Any], text: str, pid: int | None = None
 ) -> Outcome:
-    """Record that the process of a run died, unless the run has a final record, and return the
-    run's outcome. A failure with `text` as traceback is recorded if no process works on the run.
+    """Write into the record of a run that its process died, unless the record is final, and return
+    the run's outcome. A failure with `text` as traceback is recorded if no process works on the
+    run.
 
     Nothing is recorded if another process than `pid` began the run: then a killed sweep left it,
     and it counts as lost.

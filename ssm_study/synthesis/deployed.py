@@ -47,9 +47,9 @@ EVERYWHERE, SETS = OF_LIMITS  # as `certificate.json` names them
 def add_gain_certificates(
     design: Design, model: Model, balls: JacobianBalls, limits: tuple[Inputs, Inputs] | None = None
 ) -> Design:
-    """Add to a design all further certificates that can be proved for its gains, each decided in
-    exact arithmetic. They are largest rates, tolerance, and the effect of physical input `limits`.
-    """
+    """Complete a design by all further certificates that can be proved for its gains, each decided
+    in exact arithmetic. They are largest rates, tolerance, and the effect of physical input
+    `limits`."""
     bare_design = replace(design, extra_certificates={})
     design = add_largest_rate_certificates(bare_design)
     tolerance = tolerance_certificate(design, model, balls)
@@ -64,7 +64,7 @@ def add_gain_certificates(
 
 
 def add_largest_rate_certificates(design: Design) -> Design:
-    """Add to a design certificates of the largest contraction rates that can be proved for its
+    """Complete a design by certificates of the largest contraction rates that can be proved for its
     gains, each decided in exact arithmetic."""
     certificates = dict(design.extra_certificates)
     sides = {"state_feedback": design.state_feedback, "observer": design.observer}

@@ -49,8 +49,8 @@ def chooses_gains_by_coverage(
 def add_coverage_certificate(
     design: Design, model: Model, balls: JacobianBalls, premise: ModelErrorSpectra
 ) -> Design:
-    """Add to a design a certificate that holds for as large a multiple of the recorded model error
-    as possible. Without such a certificate the design stays unchanged."""
+    """Complete a design by a certificate that holds for as large a multiple of the recorded model
+    error as possible. Without such a certificate the design stays unchanged."""
     if (
         not design.feasible
         or uncertifiable_loop_reason(design, model)
