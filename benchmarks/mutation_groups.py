@@ -108,7 +108,7 @@ GROUPS = {
         + modules_of("training", "levenberg", "structured_fit", "structured_start", "pruning")
         + modules_of("training", "structured_problem", "choice"),
         tests=f"{NEURONS} tests/oracles/test_synthesis_structured.py "
-        "tests/oracles/test_tolerated_gain.py",
+        "tests/oracles/test_tolerated_gain.py tests/oracles/test_theorem_conditions.py",
         planted=30,
     ),
     "loop": Group(
@@ -282,6 +282,7 @@ GROUPS = {
         + modules_of("api", "rest_design")
         + modules_of("export", "bilinear_c"),
         tests=tests_of("oracles", "models_bilinear", "bilinear_loop", "bilinear_python")
+        + tests_of("oracles", "theorem_conditions")
         + tests_of("laws", "choice_of_products"),
         planted=20,
     ),

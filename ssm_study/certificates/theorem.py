@@ -282,8 +282,8 @@ class Theorem(ABC):
 
     @property
     def variables(self) -> dict[str, Any]:
-        """Stored unknowns of a theorem's inequalities, such as metric and multipliers, without the
-        model's matrices."""
+        """Stored numbers from which the conditions of a certificate are computed, without its
+        products and without facts on the solution."""
         others = {*INFORMATION, *self.products}
         return {name: value for name, value in vars(self).items() if name not in others}
 

@@ -296,27 +296,6 @@ def test_loops_with_neurons_come_to_rest_on_plants_at_the_edge() -> None:
         assert largest < 1e-2 * max(sizes)
 
 
-def test_forged_numbers_are_refused() -> None:
-    known = context(one_layer(0))
-    proof = certify_largest_radius(known, WEIGHTS, -0.1)
-    assert proof is not None
-    assert not proof.failed_checks(known)
-    kappa = 3 * proof.kappa
-    changed_proof = replace(proof, kappa=kappa)
-    assert changed_proof.failed_checks(known)
-    changed_proof = replace(proof, lambda_p=-proof.lambda_p)
-    assert changed_proof.failed_checks(known)
-    changed_proof = replace(proof, p=-proof.p)
-    assert changed_proof.failed_checks(known)
-    k = 2 * proof.k
-    changed_proof = replace(proof, k=k)
-    assert changed_proof.failed_checks(known)
-    floor = 0.09 / proof.kappa
-    outside = replace(proof, floor=floor)  # then e = 0 is not in the disc around -0.1
-    sentences = outside.failed_checks(known)
-    assert any("model inside the disc" in sentence for sentence in sentences)
-
-
 def test_a_bend_of_the_output_map_needs_its_multipliers() -> None:
     known = context(one_layer(0))
     proof = certify_largest_radius(known, WEIGHTS, -0.1)

@@ -1,217 +1,310 @@
-"""Conditions of every theorem: their names, and for each a forged number that it alone refuses, or
-with others."""
+"""One law over all theorems: a proof that holds, by hand where possible, and for each of its
+conditions a forged number that it refuses, alone or with others.
+
+A new theorem has a function here, under its name, and its forged numbers in `FORGERIES`: a factor,
+and the conditions that fail with it, separated by commas.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import pytest
+from structured_cases import drawn
 from test_measured_discs import BENT, WEIGHTS, context, one_layer
 
-from ssm_study.certificates.theorems import (
-    bilinear_contraction,
-    bilinear_everywhere,
-    bilinear_loop,
-    state_feedback,
-)
+from ssm_study.certificates import theorems
+from ssm_study.certificates.theorem import Theorem, VerificationContext, find_theorem
+from ssm_study.certificates.theorems import bilinear_contraction, bilinear_everywhere, bilinear_loop
+from ssm_study.certificates.theorems.limited_input import certify_under_limits
+from ssm_study.certificates.theorems.observer import ObserverOfBall
+from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.certificates.theorems.structured_observer import StructuredObserver
+from ssm_study.certificates.theorems.structured_state_feedback import StructuredStateFeedback
 from ssm_study.certificates.theorems.unlimited_start import certify_unlimited_start
 from ssm_study.exact import is_positive_definite
 from ssm_study.synthesis.measured_discs_search import certify_largest_radius
-
-
-class Forger:
-    """Numbers of a proof that holds, to be forged one by one."""
-
-    def __init__(self, theorem, numbers):
-        self.theorem = theorem
-        self.numbers = numbers
-        conditions = self.conditions(numbers)
-        assert all(conditions.values())
-        self.names = set(conditions)
-        self.violated = set[str]()
-
-    def conditions(self, numbers) -> dict[str, bool]:
-        """Whether each condition holds; of those at several nodes and segments, all."""
-        held = {}
-        matrices = self.theorem.exact_conditions(**numbers)
-        for label, matrix in matrices.items():
-            name = label.partition(" at node")[0]
-            name = name.partition(" on segment")[0]
-            before = held.get(name, True)
-            held[name] = before and is_positive_definite(matrix)
-        return held
-
-    def refused_by(self, name, factor) -> set[str]:
-        """Names of the conditions that fail once a number is multiplied by a factor."""
-        forged = dict(self.numbers)
-        forged[name] = factor * forged[name]
-        conditions = self.conditions(forged)
-        return {label for label, holds in conditions.items() if not holds}
-
-    def __call__(self, name, factor, *expected) -> None:
-        refused = self.refused_by(name, factor)
-        assert refused == set(expected)
-        self.violated |= refused
-
-
-FEEDBACK = "state feedback"
-OF_CONTROLLER = "factor above that of the controller"
-OF_OBSERVER = "factor above that of the observer"
-STATE_HIGH = "highest input by state"
-STATE_LOW = "lowest input by state"
-ERROR_HIGH = "highest input by error"
-ERROR_LOW = "lowest input by error"
-
-
-def forge_cascade(forge: Forger) -> None:
-    """Forge the numbers that both bilinear loops have."""
-    forge("factor_controller", -1, "factor_controller above 0")
-    forge("factor_controller", 0.5, FEEDBACK)
-    forge("factor_controller", 3, OF_CONTROLLER)
-    forge("factor_observer", -1, "factor_observer above 0")
-    forge("factor_observer", 3, OF_OBSERVER)
-    forge("c", 0.5, "observer")
-    forge("coupling", -1, "coupling above 0")
-    forge("coupling", 0.5, "coupling")
-    forge("coupling", 3, OF_OBSERVER)
-    forge("factor", 3, "factor below 1")
-
-
-def test_conditions_of_a_bilinear_loop():
-    numbers = bilinear_loop.example_numbers(0.45)
-    forge = Forger(bilinear_loop.BilinearLoop, numbers)
-    forge_cascade(forge)
-    forge("factor", 0.5, OF_CONTROLLER, OF_OBSERVER)
-    forge("weight", -1, "weight above 0", OF_OBSERVER, ERROR_HIGH, ERROR_LOW)
-    forge("gain_state", -1, "gain_state above 0")
-    forge("gain_state", 0.5, "input by state")
-    forge("gain_state", 1.5, STATE_HIGH, STATE_LOW)
-    forge("gain_error", -1, "gain_error above 0")
-    forge("gain_error", 0.5, "input by error")
-    forge("gain_error", 1.5, ERROR_HIGH, ERROR_LOW)
-    forge("radius", -1, "radius above 0")
-    forge("radius", 1.5, STATE_HIGH, STATE_LOW, ERROR_HIGH, ERROR_LOW)
-    forge("p", -1, "metric of the state", "input by state", FEEDBACK)
-    forge("m", -1, "metric of the error", "input by error", "observer", "coupling")
-    assert forge.violated == forge.names
-
-
-def test_each_end_of_the_inputs_has_a_condition_of_its_own():
-    numbers = bilinear_loop.example_numbers(0.45)
-    forge = Forger(bilinear_loop.BilinearLoop, numbers)
-    nearer = np.array([0.5, 1.0, 1.0])
-    refused = forge.refused_by("nodes", nearer)
-    assert {STATE_LOW, ERROR_LOW} <= refused
-    assert not refused & {STATE_HIGH, ERROR_HIGH}
-
-
-def test_every_node_and_segment_has_its_conditions():
-    """Three nodes and the two segments between them."""
-    numbers = bilinear_loop.example_numbers(0.45)
-    labels = bilinear_loop.BilinearLoop.exact_conditions(**numbers)
-    text = " ".join(labels)
-    actual = text.count("state feedback at node")
-    assert actual == 6
-    assert text.count("observer at node") == 3
-    assert text.count("coupling on segment") == 2
-
-
-def test_conditions_of_a_bilinear_loop_from_everywhere():
-    numbers = bilinear_everywhere.example_numbers(0.65)
-    forge = Forger(bilinear_everywhere.BilinearEverywhere, numbers)
-    forge_cascade(forge)
-    without_control = "factor above that without control"
-    forge("factor", 0.5, OF_CONTROLLER, OF_OBSERVER, without_control)
-    forge("weight", -1, "weight above 0", OF_OBSERVER)
-    forge("p", -1, "metric of the state", FEEDBACK, "without control")
-    forge("m", -1, "metric of the error", "observer", "coupling")
-    forge("factor_uncontrolled", -1, "factor_uncontrolled above 0")
-    forge("factor_uncontrolled", 0.5, "without control")
-    forge("factor_uncontrolled", 1.5, without_control)
-    assert forge.violated == forge.names
-
-
-def test_conditions_of_a_bilinear_contraction():
-    numbers = bilinear_contraction.example_numbers(0.6)
-    forge = Forger(bilinear_contraction.BilinearContraction, numbers)
-    of_jacobian = "factor above that of the Jacobian"
-    forge("factor", 0.5, of_jacobian)
-    forge("factor", 3, "factor below 1")
-    forge("factor_controller", -1, "factor_controller above 0")
-    forge("factor_controller", 0.5, FEEDBACK)
-    forge("gain_state", -1, "gain_state above 0")
-    forge("gain_state", 0.5, "input by state")
-    forge("gain_state", 1.5, "highest input", "lowest input")
-    forge("radius", -1, "radius above 0")
-    forge("radius", 3, "highest input", "lowest input", of_jacobian)
-    forge("variation", -1, "variation above 0")
-    forge("variation", 0.5, "variation")
-    forge("variation", 3, of_jacobian)
-    forge("p", -1, "metric", "input by state", FEEDBACK, "variation")
-    assert forge.violated == forge.names
-
-
-def test_conditions_of_measured_discs():
-    known = context(one_layer(0), BENT)
-    proof = certify_largest_radius(known, WEIGHTS, -0.1)
-    forge = Forger(type(proof), proof.variables)
-    forge("kappa", 1.5, "inequality")
-    forge("kappa", -1, "kappa")
-    forge("floor", -1, "floor")
-    forge("floor", 0.01, "model inside the disc")
-    forge("centre", 30, "model inside the disc", "inequality")
-    forge("lambda_p", -1, "lambda_p", "inequality")
-    forge("lambda_out", -1, "lambda_out", "inequality")
-    forge("p", -1, "p", "inequality")
-    assert forge.violated == forge.names
-
-
-LOW = "lower limit 0"
-HIGH = "upper limit 0"
-LOW_FREE = f"{LOW} is not reached"
-HIGH_FREE = f"{HIGH} is not reached"
-
+from ssm_study.systems import JacobianBall, JacobianBalls, StateSpace, StructuredSystem
 
 ONE = np.ones((1, 1))
+ZERO = 0 * ONE
 LIMITS = np.array([[-1.0, 1.0]])
+IDENTITY = JacobianBall(alpha=1.0, beta=0.0)
+BALLS = JacobianBalls(input=IDENTITY, output=IDENTITY)
+PLAIN = StateSpace(a=ONE, b=ONE, c=ONE, d=ZERO)
+HALF = StateSpace(a=0.5 * ONE, b=ONE, c=ONE, d=ZERO)
+WITH_NEURON = StructuredSystem(
+    a=0.5 * ONE, b=ONE, c=ONE, d=ZERO, e=0.4 * ONE, f=ONE, g=ZERO, h=ZERO
+)
+Proof = tuple[Theorem, VerificationContext]
 
 
-def halving_feedback():
-    """The certificate of `x+ = x + u`, `u = -0.5 x`."""
-    numbers = {"a": ONE, "b": ONE, "p": ONE, "y": ONE}
-    numbers["k"] = -0.5 * ONE
-    numbers |= {"sigma": 0.1, "alpha": 1.0, "beta": 0.0, "rate": 0.5}
-    theorem = state_feedback.StateFeedbackOfBall
+def stand(system: Any) -> VerificationContext:
+    return VerificationContext(system=system, controlled=system, balls=BALLS, gains={})
+
+
+def proved(theorem: type[Theorem], **numbers: Any) -> Theorem:
     return theorem.from_numbers(numbers, rate_limit=1.0, method="", status="")
 
 
-def test_conditions_of_a_state_feedback():
-    part = halving_feedback()
-    forge = Forger(type(part), part.variables)
-    forge("rate", -1, "rate above 0")
-    forge("rate", 3, "rate below 1", "inequality")
-    forge("a", 1.5, "inequality")
-    assert forge.violated == forge.names
+def halving_feedback() -> Theorem:
+    """The certificate of `x+ = x + u`, `u = -0.5 x`."""
+    numbers = {"sigma": 0.1, "alpha": 1.0, "beta": 0.0, "rate": 0.5}
+    return proved(StateFeedbackOfBall, a=ONE, b=ONE, p=ONE, y=ONE, k=-0.5 * ONE, **numbers)
 
 
-def test_conditions_of_starts_that_reach_no_limit():
+def state_feedback() -> Proof:
+    return halving_feedback(), stand(PLAIN)
+
+
+def observer() -> Proof:
+    """`x+ = x`, `y = S_y(x)` with slopes in [0.8, 1.2], `L = -0.7`: 0.44 of an error is left."""
+    numbers = {"alpha": 1.0, "beta": 0.2, "eta": 0.07, "rate": 0.75}
+    return proved(ObserverOfBall, a=ONE, c=ONE, q=ONE, u=ONE, l=-0.7 * ONE, **numbers), stand(PLAIN)
+
+
+def structured_state_feedback() -> Proof:
+    """`x+ = 0.5 x + 0.4 phi(x) + S_u(u)`, `K = -0.7`, as in the theorem's example."""
+    numbers = {"alpha": 0.9, "beta": 0.1, "p": ONE, "y": ONE, "k": -0.7 * ONE, "sigma": 4.0}
+    numbers |= {"lambda_": np.full(1, 0.2), "rate": 0.75}
+    matrices = {"a": 0.5 * ONE, "b": ONE, "e": 0.4 * ONE, "f": ONE, "g": ZERO}
+    return proved(StructuredStateFeedback, **matrices, **numbers), stand(WITH_NEURON)
+
+
+def structured_observer() -> Proof:
+    """`x+ = 0.5 x + 0.4 phi(x)`, `L = -0.5`: injected into the neuron, nothing is left."""
+    numbers = {"alpha": 1.0, "beta": 0.0, "q": ONE, "u": ONE, "l": -0.5 * ONE, "l_z": -ONE}
+    numbers |= {"eta": 1e-6, "lambda_": np.ones(1), "rate": 0.99}
+    matrices = {"a": 0.5 * ONE, "c": ONE, "e": 0.4 * ONE, "f": ONE, "h": ZERO}
+    return proved(StructuredObserver, **matrices, **numbers), stand(WITH_NEURON)
+
+
+def limited_input() -> Proof:
+    """`x+ = 0.5 x + sat(-0.4 x)`: between 0.5 and 0.1 of a distance is left."""
+    numbers = {"sigma": 0.5, "alpha": 1.0, "beta": 0.0, "rate": 0.1}
+    gain = -0.4 * ONE
+    matrices = {"a": 0.5 * ONE, "b": ONE, "k": gain, "p": ONE, "y": ONE}
+    return certify_under_limits(proved(StateFeedbackOfBall, **matrices, **numbers)), stand(HALF)
+
+
+def unlimited_start() -> Proof:
     """With limits of one no limit acts from within two."""
-    part = halving_feedback()
-    proof = certify_unlimited_start([part], ONE, LIMITS)
-    forge = Forger(type(proof), proof.variables)
-    forge("rate", -1, "rate above 0")
-    forge("rate", 3, "rate below 1", "inequality")
-    forge("level", 0.5, "start 0")
-    forge("level", 1.5, LOW_FREE, HIGH_FREE)
-    forge("starts", 1.5, "start 0")
-    forge("k", 1.5, LOW_FREE, HIGH_FREE)
-    forge("limits", -1, LOW, HIGH)
-    lower_nearer = np.array([0.5, 1.0])
-    forge("limits", lower_nearer, LOW_FREE)
-    upper_nearer = np.array([1.0, 0.5])
-    forge("limits", upper_nearer, HIGH_FREE)
-    assert forge.violated == forge.names
+    return certify_unlimited_start([halving_feedback()], ONE, LIMITS), stand(PLAIN)
 
 
-def test_no_start_is_certified_without_room_or_corners():
+def measured_discs() -> Proof:
+    known = context(one_layer(0), BENT)
+    return certify_largest_radius(known, WEIGHTS, -0.1), known
+
+
+def measured_discs_structured() -> Proof:
+    known = context(drawn(0))
+    return certify_largest_radius(known, WEIGHTS, -0.1), known
+
+
+def bilinear(theorem: type[Theorem], numbers: dict[str, Any]) -> Proof:
+    """A proof of the worked example, and its model: one state and three input levels."""
+    a = numbers["a_nodes"].reshape(3, 1, 1)
+    b = numbers["b_nodes"]
+    model = SimpleNamespace(nodes=numbers["nodes"], a=a, b=b, c=ONE, order=1)
+    numbers |= {"alpha": 1.0, "beta": 0.0}
+    return theorem.from_numbers(numbers, method="", status=""), stand(model)
+
+
+def bilinear_loop_() -> Proof:
+    return bilinear(bilinear_loop.BilinearLoop, bilinear_loop.example_numbers(0.45))
+
+
+def bilinear_everywhere_() -> Proof:
+    numbers = bilinear_everywhere.example_numbers(0.65)
+    return bilinear(bilinear_everywhere.BilinearEverywhere, numbers)
+
+
+def bilinear_contraction_() -> Proof:
+    numbers = bilinear_contraction.example_numbers(0.6)
+    return bilinear(bilinear_contraction.BilinearContraction, numbers)
+
+
+RATE = [("rate", -1, "rate above 0"), ("rate", 3, "rate below 1, inequality")]
+CASCADE = [
+    ("factor_controller", -1, "factor_controller above 0"),
+    ("factor_controller", 0.5, "state feedback"),
+    ("factor_controller", 3, "factor above that of the controller"),
+    ("factor_observer", -1, "factor_observer above 0"),
+    ("factor_observer", 0.2, "observer"),
+    ("factor_observer", 3, "factor above that of the observer"),
+    ("c", 0.5, "observer"),
+    ("coupling", -1, "coupling above 0"),
+    ("coupling", 0.5, "coupling"),
+    ("coupling", 3, "factor above that of the observer"),
+    ("factor", 3, "factor below 1"),
+]
+DISC = [
+    ("kappa", 1.5, "inequality"),
+    ("kappa", -1, "kappa"),
+    ("floor", -1, "floor"),
+    ("floor", 0.01, "model inside the disc"),
+    ("centre", 30, "model inside the disc, inequality"),
+    ("lambda_p", -1, "lambda_p, inequality"),
+    ("p", -1, "p, inequality"),
+    ("k", 2, "inequality"),
+    ("weight_input", 10, "inequality"),
+]
+AT_LIMITS = "highest input by state, lowest input by state"
+AT_LIMITS_OF_ERROR = "highest input by error, lowest input by error"
+CASCADE_FACTORS = "factor above that of the controller, factor above that of the observer"
+FREE = "lower limit 0 is not reached, upper limit 0 is not reached"
+FORGERIES: dict[Callable[[], Proof], list[tuple[str, Any, str]]] = {
+    state_feedback: [*RATE, ("a", 1.5, "inequality"), ("sigma", 9, "inequality")],
+    observer: [*RATE, ("a", 1.5, "inequality"), ("eta", -1, "inequality"), ("l", 2, "inequality")],
+    structured_state_feedback: [
+        ("rate", -1, "rate above 0"),
+        ("rate", 2, "rate below 1, inequality"),
+        ("sigma", -1, "inequality"),
+        ("lambda_", -1, "inequality"),
+        ("k", 0.1, "inequality"),
+    ],
+    structured_observer: [
+        ("rate", -1, "rate above 0"),
+        ("rate", 2, "rate below 1, inequality"),
+        ("eta", -1, "inequality"),
+        ("lambda_", -1, "inequality"),
+        ("l_z", 0, "inequality"),
+    ],
+    limited_input: [*RATE, ("rate", 1.01, "inequality"), ("beta", 1.5, "inequality")],
+    unlimited_start: [
+        *RATE,
+        ("level", 0.5, "start 0"),
+        ("level", 1.5, FREE),
+        ("starts", 1.5, "start 0"),
+        ("k", 1.5, FREE),
+        ("limits", -1, "lower limit 0, upper limit 0"),
+        ("limits", np.array([0.5, 1.0]), "lower limit 0 is not reached"),
+        ("limits", np.array([1.0, 0.5]), "upper limit 0 is not reached"),
+    ],
+    measured_discs: [*DISC, ("lambda_out", -1, "lambda_out, inequality")],
+    measured_discs_structured: [*DISC, ("lambda_", -1, "lambda, inequality")],
+    bilinear_loop_: [
+        *CASCADE,
+        ("factor", 0.5, CASCADE_FACTORS),
+        ("weight", -1, f"weight above 0, factor above that of the observer, {AT_LIMITS_OF_ERROR}"),
+        ("gain_state", -1, "gain_state above 0"),
+        ("gain_state", 0.5, "input by state"),
+        ("gain_state", 1.5, AT_LIMITS),
+        ("gain_error", -1, "gain_error above 0"),
+        ("gain_error", 0.5, "input by error"),
+        ("gain_error", 1.5, AT_LIMITS_OF_ERROR),
+        ("radius", -1, "radius above 0"),
+        ("radius", 1.5, f"{AT_LIMITS}, {AT_LIMITS_OF_ERROR}"),
+        ("p", -1, "metric of the state, input by state, state feedback"),
+        ("m", -1, "metric of the error, input by error, observer, coupling"),
+    ],
+    bilinear_everywhere_: [
+        *CASCADE,
+        ("factor", 0.5, f"{CASCADE_FACTORS}, factor above that without control"),
+        ("weight", -1, "weight above 0, factor above that of the observer"),
+        ("p", -1, "metric of the state, state feedback, without control"),
+        ("m", -1, "metric of the error, observer, coupling"),
+        ("factor_uncontrolled", -1, "factor_uncontrolled above 0"),
+        ("factor_uncontrolled", 0.5, "without control"),
+        ("factor_uncontrolled", 1.5, "factor above that without control"),
+    ],
+    bilinear_contraction_: [
+        ("factor", 0.5, "factor above that of the Jacobian"),
+        ("factor", 3, "factor below 1"),
+        ("factor_controller", -1, "factor_controller above 0"),
+        ("factor_controller", 0.5, "state feedback"),
+        ("gain_state", -1, "gain_state above 0"),
+        ("gain_state", 0.5, "input by state"),
+        ("gain_state", 1.5, "highest input, lowest input"),
+        ("radius", -1, "radius above 0"),
+        ("radius", 3, "highest input, lowest input, factor above that of the Jacobian"),
+        ("variation", -1, "variation above 0"),
+        ("variation", 0.5, "variation"),
+        ("variation", 3, "factor above that of the Jacobian"),
+        ("p", -1, "metric, input by state, state feedback, variation"),
+    ],
+}
+every_theorem = pytest.mark.parametrize(
+    "prove", FORGERIES, ids=lambda prove: prove.__name__.rstrip("_")
+)
+
+
+def conditions(theorem: type[Theorem], numbers: dict[str, Any]) -> dict[str, bool]:
+    """Whether each condition holds; of those at several nodes and segments, all."""
+    held: dict[str, bool] = {}
+    for label, matrix in theorem.exact_conditions(**numbers).items():
+        name = label.partition(" at node")[0].partition(" on segment")[0]
+        held[name] = held.get(name, True) and is_positive_definite(matrix)
+    return held
+
+
+def refused_by(part: Theorem, name: str, factor: Any) -> set[str]:
+    """Names of the conditions that fail once a number is multiplied by a factor."""
+    forged = part.variables | {name: factor * part.variables[name]}
+    return {label for label, holds in conditions(type(part), forged).items() if not holds}
+
+
+def test_every_theorem_has_its_forgeries() -> None:
+    files = Path(theorems.__file__).parent.glob("[!_]*.py")
+    without_class = {"deployed_rate", "integral_action"}  # ways to certificates of other theorems
+    names = {path.stem for path in files} - without_class
+    assert {prove.__name__.rstrip("_") for prove in FORGERIES} == names
+    assert {find_theorem(name).name() for name in names} == names
+
+
+@every_theorem
+def test_each_condition_refuses_the_forged_numbers_that_it_is_about(
+    prove: Callable[[], Proof],
+) -> None:
+    part, _ = prove()
+    held = conditions(type(part), part.variables)
+    assert all(held.values())
+    violated = set[str]()
+    for name, factor, expected in FORGERIES[prove]:
+        refused = refused_by(part, name, factor)
+        assert refused == set(expected.split(", ")), (name, factor)
+        violated |= refused
+    assert violated == set(held)
+
+
+@every_theorem
+def test_a_file_is_compared_with_the_model_and_with_its_own_verdict(
+    prove: Callable[[], Proof],
+) -> None:
+    part, known = prove()
+    assert part.certified
+    assert part.failed_checks(known) == []
+    (claim,) = replace(part, certified=False).failed_checks(known)
+    assert "certified = False: in exact arithmetic the inequality holds" in claim
+    for name in [*part.model_data(known), *type(part).products]:
+        forged = replace(part, **{name: vars(part)[name] + 1.0})
+        claims = forged.failed_checks(known)
+        assert any(claim.startswith(f".{name}: differs") for claim in claims), name
+    other_kind = PLAIN if hasattr(part, "e") else WITH_NEURON
+    assert part.failed_checks(stand(other_kind)) == [": the matrices do not fit the model"]
+
+
+def test_each_end_of_the_inputs_has_a_condition_of_its_own() -> None:
+    part, _ = bilinear_loop_()
+    refused = refused_by(part, "nodes", np.array([0.5, 1.0, 1.0]))
+    assert {"lowest input by state", "lowest input by error"} <= refused
+    assert not refused & {"highest input by state", "highest input by error"}
+
+
+def test_every_node_and_segment_has_its_conditions() -> None:
+    """Three nodes and the two segments between them."""
+    part, _ = bilinear_loop_()
+    text = " ".join(type(part).exact_conditions(**part.variables))
+    counts = {"state feedback at node": 6, "observer at node": 3, "coupling on segment": 2}
+    assert {label: text.count(label) for label in counts} == counts
+
+
+def test_no_start_is_certified_without_room_or_corners() -> None:
     part = halving_feedback()
-    no_corner = 0 * ONE
-    assert certify_unlimited_start([part], no_corner, LIMITS) is None
+    assert certify_unlimited_start([part], ZERO, LIMITS) is None
     one_sided = np.array([[0.0, 1.0]])
     assert certify_unlimited_start([part], ONE, one_sided) is None
