@@ -190,30 +190,6 @@ def test_the_search_from_known_multipliers_ends_where_the_search_from_nothing_do
     assert is_confirmed_exactly(near_the_limit, solution)
 
 
-def test_a_negative_multiplier_certifies_nothing() -> None:
-    """`A` with an eigenvalue 1.2 and `L = 0` at r = 0.9: with a negative eta the first corner alone
-    is positive."""
-    one = np.ones((1, 1))
-    numbers = {
-        "a": 1.2 * one,
-        "c": one,
-        "e": 0 * one,
-        "f": 0 * one,
-        "h": 0 * one,
-        "q": one,
-        "u": one,
-        "l": 0 * one,
-    }
-    lambda_ = np.ones(1)
-    rate = 1 - 0.9**2
-    numbers |= {"alpha": 1.0, "beta": 0.0, "lambda_": lambda_, "l_z": 0 * one, "rate": rate}
-    without_row_two = 0.9**2 + 2.0 - 1.2**2
-    assert without_row_two > 0
-    assert not StructuredObserver.holds(**numbers, eta=-2.0)
-    assert not StructuredObserver.holds(**numbers, eta=1e-6)
-    assert StructuredObserver.holds(**{**numbers, "a": 0.8 * one}, eta=1e-6)
-
-
 def test_injection_where_the_output_sees_the_neurons_is_refused() -> None:
     system = drawn(4, h=0.2)
     problem = asked(system, "observer", KNOWN, 0.1)

@@ -6,7 +6,7 @@ and the conditions that fail with it, separated by commas.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from copy import copy
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -39,6 +39,7 @@ HALF = StateSpace(a=0.5 * ONE, b=ONE, c=ONE, d=ZERO)
 WITH_NEURON = StructuredSystem(
     a=0.5 * ONE, b=ONE, c=ONE, d=ZERO, e=0.4 * ONE, f=ONE, g=ZERO, h=ZERO
 )
+UNFIT = ": the matrices do not fit the model"
 Proof = tuple[Theorem, VerificationContext]
 
 
@@ -75,9 +76,9 @@ def structured_state_feedback() -> Proof:
 
 
 def structured_observer() -> Proof:
-    """`x+ = 0.5 x + 0.4 phi(x)`, `L = -0.5`: injected into the neuron, nothing is left."""
-    numbers = {"alpha": 1.0, "beta": 0.0, "q": ONE, "u": ONE, "l": -0.5 * ONE, "l_z": -ONE}
-    numbers |= {"eta": 1e-6, "lambda_": np.ones(1), "rate": 0.99}
+    """`x+ = 0.5 x + 0.4 phi(x)`, `y = S_y(x)` with slopes in [0.9, 1.1], `L = -0.5`."""
+    numbers = {"alpha": 1.0, "beta": 0.1, "q": ONE, "u": ONE, "l": -0.5 * ONE, "l_z": -ONE}
+    numbers |= {"eta": 0.03, "lambda_": np.full(1, 0.5), "rate": 0.75}
     matrices = {"a": 0.5 * ONE, "c": ONE, "e": 0.4 * ONE, "f": ONE, "h": ZERO}
     return proved(StructuredObserver, **matrices, **numbers), stand(WITH_NEURON)
 
@@ -163,16 +164,18 @@ FORGERIES: dict[Callable[[], Proof], list[tuple[str, Any, str]]] = {
     structured_state_feedback: [
         ("rate", -1, "rate above 0"),
         ("rate", 2, "rate below 1, inequality"),
-        ("sigma", -1, "inequality"),
-        ("lambda_", -1, "inequality"),
-        ("k", 0.1, "inequality"),
+        *[("sigma", factor, "inequality") for factor in (-1, 0.8)],
+        *[("lambda_", factor, "inequality") for factor in (-1, 0.3, 1.2)],
+        *[(name, 1.2, "inequality") for name in ("a", "e", "f", "k", "p")],
+        ("beta", 5, "inequality"),
     ],
     structured_observer: [
         ("rate", -1, "rate above 0"),
         ("rate", 2, "rate below 1, inequality"),
-        ("eta", -1, "inequality"),
-        ("lambda_", -1, "inequality"),
-        ("l_z", 0, "inequality"),
+        *[("eta", factor, "inequality") for factor in (-1, 0.2, 10)],
+        *[("lambda_", factor, "inequality") for factor in (-1, 0.1, 20)],
+        *[(name, 2, "inequality") for name in ("a", "f", "l", "l_z", "q", "beta")],
+        ("e", 3, "inequality"),
     ],
     limited_input: [*RATE, ("rate", 1.01, "inequality"), ("beta", 1.5, "inequality")],
     unlimited_start: [
@@ -271,6 +274,13 @@ def test_each_condition_refuses_the_forged_numbers_that_it_is_about(
     assert violated == set(held)
 
 
+def forged(part: Theorem, name: str, value: Any) -> Theorem:
+    """A certificate as a file may hold it, whose shapes only `failed_checks` looks at."""
+    changed = copy(part)
+    object.__setattr__(changed, name, value)
+    return changed
+
+
 @every_theorem
 def test_a_file_is_compared_with_the_model_and_with_its_own_verdict(
     prove: Callable[[], Proof],
@@ -278,14 +288,22 @@ def test_a_file_is_compared_with_the_model_and_with_its_own_verdict(
     part, known = prove()
     assert part.certified
     assert part.failed_checks(known) == []
-    (claim,) = replace(part, certified=False).failed_checks(known)
+    (claim,) = forged(part, "certified", False).failed_checks(known)
     assert "certified = False: in exact arithmetic the inequality holds" in claim
-    for name in [*part.model_data(known), *type(part).products]:
-        forged = replace(part, **{name: vars(part)[name] + 1.0})
-        claims = forged.failed_checks(known)
-        assert any(claim.startswith(f".{name}: differs") for claim in claims), name
+    of_model = part.model_data(known)
+    stored = vars(part)
+    assert stored.keys() & vars(known.system).keys() <= of_model.keys()
+    changes = [(name, name) for name in of_model]
+    for product, factors in type(part).products.items():
+        changes += [(name, product) for name in (product, *factors)]
+    for name, differing in changes:
+        claims = forged(part, name, stored[name] + 1e-9).failed_checks(known)
+        assert any(claim.startswith(f".{differing}: differs") for claim in claims), name
     other_kind = PLAIN if hasattr(part, "e") else WITH_NEURON
-    assert part.failed_checks(stand(other_kind)) == [": the matrices do not fit the model"]
+    assert part.failed_checks(stand(other_kind)) == [UNFIT]
+    for name in part.variables:
+        if np.ndim(stored[name]) == 2:
+            assert UNFIT in forged(part, name, np.ones((7, 7))).failed_checks(known), name
 
 
 def test_each_end_of_the_inputs_has_a_condition_of_its_own() -> None:

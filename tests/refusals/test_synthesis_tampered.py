@@ -84,37 +84,6 @@ def test_any_tampering_with_a_number_is_found(stored: dict, name: str) -> None:
     assert failed_checks(content, PLANT, BALLS)
 
 
-def test_a_forged_digest_does_not_help_where_the_inequality_fails(stored: dict) -> None:
-    content = copy.deepcopy(stored)
-    state_feedback = content["state_feedback"]
-    state_feedback["rate"] = 0.9
-    state_feedback["digest"] = certificate_digest(state_feedback)
-
-    claims = failed_checks(content, PLANT, BALLS)
-
-    is_found = any("in exact arithmetic the inequality fails" in claim for claim in claims)
-    assert is_found
-
-
-GAINS_OF_STATE_FEEDBACK = [("state_feedback", name) for name in ("k", "y", "x")]
-GAINS_OF_OBSERVER = [("observer", name) for name in ("l", "u", "v")]
-GAINS = GAINS_OF_STATE_FEEDBACK + GAINS_OF_OBSERVER
-
-
-@pytest.mark.parametrize(("side", "name"), GAINS)
-def test_a_forged_digest_does_not_hide_an_altered_gain(stored: dict, side: str, name: str) -> None:
-    """The inequality still holds after so small a change, but the products no longer fit."""
-    content = copy.deepcopy(stored)
-    part = content[side]
-    part[name][0][0] *= 1 + 1e-9
-    part["digest"] = certificate_digest(part)
-
-    claims = failed_checks(content, PLANT, BALLS)
-
-    is_found = any("differs from what" in claim for claim in claims)
-    assert is_found
-
-
 def test_a_ball_smaller_than_the_models_is_found(stored: dict) -> None:
     wider_ball = JacobianBall.from_slopes(0.29, 1.0)
     wider = JacobianBalls(input=wider_ball, output=OUTPUT_BALL)
