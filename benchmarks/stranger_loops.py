@@ -257,6 +257,10 @@ def row_of(plant: StrangerPlant, work: Path) -> dict[str, object]:
     record = json.loads((folder / "record.json").read_text())
     row["status"] = record["status"]
     row |= {name: shortened(record.get(name)) for name in COPIED}
+    predicted = record.get("fit_test_members_percent") or record.get("fit_test_percent")
+    baseline = record.get("fit_baseline_percent")
+    if predicted is not None and baseline is not None:
+        row["ahead_points"] = rounded(predicted - baseline)
     if not (folder / "model.json").exists():
         return row
     return row | loop_columns(plant, folder, work / plant.name)

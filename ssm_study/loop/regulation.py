@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -100,28 +101,25 @@ class IdentifiedPlant(Plant):
         """States at which a constant input holds the model's outputs at given values.
 
         Where no input holds it (neurons may rectify or saturate; fewer inputs than outputs hold
-        few outputs), the smallest state that the linear part reads as it.
+        few outputs; the swing of a crane returns to zero at every speed of its trolley), the
+        smallest state that the linear part reads as it.
         """
         return np.stack([self._equilibrium_state(y) for y in y0])
 
     def _equilibrium_state(self, y: Float[np.ndarray, "p"]) -> Float[np.ndarray, "n"]:
         """State at which a constant input holds the outputs of the model at given values."""
-        try:
-            state, _ = scaled_equilibrium(self.model, y)
-            return state
-        except BadRequest:
-            inputs = self.model.scale.inputs
-            fewer_inputs = inputs < self.model.scale.outputs
-            if not isinstance(self.model, StructuredSSM) and not fewer_inputs:
-                raise
-            scaled_output = self.model.scale.scaled_output(y)
-            if not isinstance(self.model, StructuredSSM):
-                scaffold = self.model.scaffold_out
-                matrix = invert_map(scaffold, scaled_output[None])
-                scaled_output = matrix[0]
-            linear_c = self.model.linear.c
-            pseudo_inverse = np.linalg.pinv(linear_c)
-            return pseudo_inverse @ scaled_output
+        with suppress(BadRequest):
+            state, holding_input = scaled_equilibrium(self.model, y)
+            if np.abs(holding_input).max() <= FARTHEST_HELD:
+                return state
+        scaled_output = self.model.scale.scaled_output(y)
+        if not isinstance(self.model, StructuredSSM):
+            scaffold = self.model.scaffold_out
+            matrix = invert_map(scaffold, scaled_output[None])
+            scaled_output = matrix[0]
+        linear_c = self.model.linear.c
+        pseudo_inverse = np.linalg.pinv(linear_c)
+        return pseudo_inverse @ scaled_output
 
     def next_states(
         self, x: States, u: Float[np.ndarray, "N m"], d: Float[np.ndarray, "N q"]
@@ -166,6 +164,8 @@ def has_direct_feedthrough(model: Model) -> bool:
 
 # shortest and longest horizon; 150 are 1.5 s on the motor, seven times its uncontrolled mean
 SAMPLES = (150, 1500)
+# Of the input's scale: an output that takes a larger input to be held is not held by the plant.
+FARTHEST_HELD = 10.0
 RESPONSES = 4  # horizon, in lengths of the model's own response
 REMAINDER = 0.01  # share of `sum |C A^k B|` that is left behind the length of the response
 

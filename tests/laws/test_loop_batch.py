@@ -12,7 +12,10 @@ from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment
 from ssm_study.loop.rollout import STAYED, simulate_closed_loop
+from ssm_study.models.identified import SSM
+from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.plants.disturbance import PeriodicDisturbance, StepDisturbance
+from ssm_study.systems import StateSpace
 
 LOOP = LoopExperiment(horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5)
 
@@ -169,6 +172,34 @@ def test_the_model_in_the_plants_place_replays_itself():
     states = plant.equilibrium_states(y0)
     actual = plant.output(states)
     np.testing.assert_allclose(actual, y0, rtol=1e-9)
+
+
+def crane_swing(gain_at_rest: float) -> SSM:
+    """Swing of a load under the speed of its trolley: one lightly damped mode of given gain at
+    rest."""
+    turn = 0.998 * np.exp(0.22j)
+    a = np.array([[turn.real, turn.imag], [-turn.imag, turn.real]])
+    b = np.array([[0.0], [0.1]])
+    response = np.linalg.solve(np.eye(2) - a, b)
+    across = np.array([-response[1, 0], response[0, 0]])
+    along = response[:, 0] / (response[:, 0] @ response[:, 0])
+    c = (across + gain_at_rest * along)[None]
+    linear = StateSpace(a=a, b=b, c=c, d=np.zeros((1, 1)))
+    return replace(random_model(0, order=2), linear=linear, scaffold_in=LinearScaffold.identity(1))
+
+
+@pytest.mark.parametrize("gain_at_rest", [0.0, 1e-4, 0.5])
+def test_a_loop_starts_where_the_plant_can_be(gain_at_rest):
+    """No input of the records holds a crane's load away from its rest: the loop then starts from
+    the smallest state with that output, not from the equilibrium of a thousandfold input."""
+    model = crane_swing(gain_at_rest)
+    plant = IdentifiedPlant.from_model(model)
+    y0 = model.scale.output_equilibrium + model.scale.output_scale * np.array([[1.0]])
+    state = plant.equilibrium_states(y0)
+    np.testing.assert_allclose(plant.output(state), y0, rtol=1e-9)
+    smallest = np.linalg.pinv(model.linear.c) @ np.ones(1)
+    is_smallest = np.allclose(state[0], smallest)
+    assert is_smallest is (gain_at_rest < 0.1)
 
 
 def test_the_units_of_input_and_output_change_nothing():
