@@ -1,4 +1,4 @@
-"""What the prediction of `synthesis.mismatch` is worth, drawn: its ROC curve, and settling times
+"""What the prediction of `robustness.prediction` is worth, drawn: its ROC curve, and settling times
 against the margin.
 
 Pure functions of a table with one certified design per row: `plant`, `mismatch_margin`,

@@ -129,6 +129,11 @@ def read_limited_bytes(path: Path, max_bytes: int = LARGEST) -> bytes:
         return stream.read()
 
 
+def read_json(path: Path) -> Any:
+    """Read the content of a JSON file, which must be a regular file of limited size."""
+    return json.loads(read_limited_bytes(path))
+
+
 def sha256_of_file(path: Path) -> str:
     """SHA-256 digest of a file in hexadecimal digits, read block by block."""
     with open_regular_file(path) as stream:

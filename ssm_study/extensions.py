@@ -1,4 +1,5 @@
-"""Extension packages of users: which are trusted, where they are, and how they are loaded.
+"""Extension packages of users: which are trusted, where they are, and how they are loaded. Also the
+folders with configuration files, the project's own and theirs.
 
 Trusted are installed packages that register an entry point of the group `ssm_study`, and the one
 folder that is named on the command line by `--with`. Nothing else is imported, and no configuration
@@ -69,6 +70,20 @@ def trusted_packages() -> dict[str, Path]:
         )
         trusted_folders[folder.name] = folder
     return trusted_folders
+
+
+def configuration_folder() -> Path:
+    """Folder of the configuration files, in the installed package or next to the package in a
+    clone."""
+    package = Path(__file__).resolve().parent
+    installed = package / "conf"
+    return installed if installed.is_dir() else package.parent / "conf"
+
+
+def configuration_folders() -> list[Path]:
+    """Folders with configuration files: the project's own first, then those of trusted extension
+    packages."""
+    return [configuration_folder(), *extension_configuration_folders()]
 
 
 def extension_configuration_folders() -> list[Path]:

@@ -51,7 +51,7 @@ class StateSpace(_SystemMatrices):
     @property
     def spectral_radius(self) -> float:
         """Spectral radius of the state matrix; below one, the system is stable."""
-        return float(np.abs(np.linalg.eigvals(self.a)).max())
+        return spectral_radius(self.a)
 
     @property
     def integrates(self) -> bool:
@@ -244,6 +244,11 @@ class Gains:
         """Select one controller with its observer, or several, from a stack of gains."""
         l_z = None if self.l_z is None else self.l_z[indices]
         return Gains(k=self.k[indices], l=self.l[indices], l_z=l_z, internal=self.internal)
+
+
+def spectral_radius(matrix: Float[np.ndarray, "n n"]) -> float:
+    """Largest modulus of the eigenvalues of a matrix."""
+    return float(np.abs(np.linalg.eigvals(matrix)).max())
 
 
 def error_input_matrix(modes: Float[np.ndarray, "z z"], outputs: int) -> Float[np.ndarray, "z p"]:

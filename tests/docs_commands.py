@@ -15,7 +15,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
 import ssm_study.engine.settings  # noqa: F401 - the resolver of names of runs
-from ssm_study.cli.run import configuration_folder
+from ssm_study.extensions import configuration_folder
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]

@@ -14,7 +14,7 @@ from ssm_study.certificates.certificate import certificate_digest
 from ssm_study.data.mcap import read_mcap, write_mcap
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import write_run_manifest
-from ssm_study.loop.metrics import behaviour_columns, certificate_columns
+from ssm_study.loop.metrics import behaviour_columns, certified_bound_columns
 from ssm_study.models.metrics import Simulation, fit_columns
 from ssm_study.models.warm_start import PAST, choose_initial_state_source, initial_state_columns
 from ssm_study.refusal import BadRequest
@@ -62,7 +62,7 @@ def loop_again(run: Path) -> dict[str, Any]:
     kept, _ = read_loop_recordings(run)
     run_files = RunFiles(path=run, record={})
     design = run_files.design
-    return behaviour_columns(kept) | certificate_columns(kept, design)
+    return behaviour_columns(kept) | certified_bound_columns(kept, design)
 
 
 def fits_again(run: Path) -> dict[str, Any]:

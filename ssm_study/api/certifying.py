@@ -18,11 +18,7 @@ from ssm_study.api.controlling import jacobian_ball_of_slopes
 from ssm_study.api.design import Design
 from ssm_study.api.known_maps import describe_slope_range
 from ssm_study.api.loop_of_both import add_loop_verdict, describe_loop_verdict, unstable_loop_text
-from ssm_study.api.missing_rate import (
-    describe_uncontrollable_mode,
-    explain_uncertifiable_gain,
-    spectral_radius,
-)
+from ssm_study.api.missing_rate import describe_uncontrollable_mode, explain_uncertifiable_gain
 from ssm_study.api.summaries import html_table, rate_text, render_text_table
 from ssm_study.api.systems import read_linear_system, read_matrix, read_matrix_or_vector
 from ssm_study.certificates.certificate import GainTheorem
@@ -39,7 +35,7 @@ from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.refusal import require
 from ssm_study.synthesis.modes import least_metric
-from ssm_study.systems import JacobianBall
+from ssm_study.systems import JacobianBall, spectral_radius
 
 MATRICES = "give A, B, C (for example P.A, P.B, P.C)"
 SMALLEST_RATE = 1e-9  # what is asked of the problem while its gain is analysed

@@ -89,7 +89,7 @@ def control(
         given |= {"slopes": slopes, "output_slopes": output_slopes}
         given |= {"overrides": overrides or None}
         return design_bilinear_controller(model, given, input_limits, settings)
-    check_input_limits(input_limits)
+    require_pair_of_limits(input_limits)
     rate_setting = ("rate", rate)
     observer_rate_setting = ("observer_rate", observer_rate)
     for name, requested_rate in (rate_setting, observer_rate_setting):
@@ -129,7 +129,7 @@ def design_bilinear_controller(
     Raises `BadRequest` for arguments that such a design has no use for."""
     from ssm_study.synthesis.bilinear_design import BilinearSynthesis  # loads CVXPY
 
-    check_input_limits(limits)
+    require_pair_of_limits(limits)
     is_unlimited = all(limit is None for limit in limits)
     input_limits = None if is_unlimited else limits
     other_arguments = other_arguments | {"input_limits": input_limits}
@@ -148,7 +148,7 @@ def design_bilinear_controller(
     return RestDesign(model=simulator, certificates=certificates, channels=channels)
 
 
-def check_input_limits(limits: Any) -> None:
+def require_pair_of_limits(limits: Any) -> None:
     """Raise `BadRequest` unless input limits are a pair (lowest, highest) of numbers or None."""
     is_sequence = isinstance(limits, tuple | list)
     is_pair = is_sequence and len(limits) == 2

@@ -169,7 +169,7 @@ class Design:
 
     def _loop_columns(self) -> dict[str, Any]:
         """Columns of the results table on the closed loop with the identified model."""
-        from ssm_study.loop.metrics import behaviour_columns, certificate_columns
+        from ssm_study.loop.metrics import behaviour_columns, certified_bound_columns
 
         assert self.origin is not None
         if self.loop is None or not self.certificate.feasible or has_direct_feedthrough(self.model):
@@ -181,7 +181,7 @@ class Design:
         return (
             {"loop_on": "identified model"}
             | behaviour_columns(runs)
-            | certificate_columns(runs, self.certificate)
+            | certified_bound_columns(runs, self.certificate)
         )
 
     def eigenvalues(self) -> dict[str, Complex[np.ndarray, "n"]]:

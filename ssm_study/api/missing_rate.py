@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.certificates.frontier import Frontier
-from ssm_study.systems import JacobianBall
+from ssm_study.systems import JacobianBall, spectral_radius
 
 OUT_OF_REACH = "a mode out of reach"  # as `Frontier.decided_by` says it
 OF_CONTROLLER = "the input does not reach it, so no gain stabilises it; use another actuator"
@@ -42,10 +42,3 @@ def explain_uncertifiable_gain(
         f"stable at the mean slope (spectral radius {mean:.4g}), yet no single constant metric "
         f"proves a rate for every slope from {ball.lower:.4g} to {ball.upper:.4g}"
     )
-
-
-def spectral_radius(matrix: Float[np.ndarray, "n n"]) -> float:
-    """Largest modulus of the eigenvalues of a matrix."""
-    eigenvalues = np.linalg.eigvals(matrix)
-    moduli = np.abs(eigenvalues)
-    return float(moduli.max())

@@ -8,16 +8,14 @@ What Hydra would compose from the same words is compared in `tests/oracles/test_
 import re
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml  # type: ignore[import-untyped]
 from omegaconf import OmegaConf
 
-import ssm_study
 from ssm_study.construction import construct_part
-from ssm_study.extensions import extension_configuration_folders
+from ssm_study.extensions import configuration_folders
 from ssm_study.refusal import BadRequest, require, require_seed
 
 Tree = dict[str, Any]
@@ -43,16 +41,6 @@ OVERRIDES_AFTER = {"model": "step_s", "synthesis": "the model"}
 NO_FIELD = "has no such field"
 REMEDIES = {"neurons": "neurons belong to model='structured'"}
 REMEDY = "write key=value, as in model.order=4; sweeps and experiments are for st.study"
-
-
-def configuration_folders() -> list[Path]:
-    """Folders with configuration files, the project's own first, then those of trusted extension
-    packages."""
-    module_file = Path(ssm_study.__file__).resolve()
-    package = module_file.parent
-    installed = package / "conf"
-    ours = installed if installed.is_dir() else package.parent / "conf"
-    return [ours, *extension_configuration_folders()]
 
 
 def load_choice(group: str, choice: str) -> Tree:

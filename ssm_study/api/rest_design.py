@@ -20,6 +20,7 @@ from ssm_study.api.systems import read_number, read_path
 from ssm_study.certificates.bilinear_certificates import BilinearDesign, failed_bilinear_checks
 from ssm_study.certificates.certificate import certificate_digest
 from ssm_study.data.arrays import signal_array_and_names
+from ssm_study.durable import read_json
 from ssm_study.export.bilinear_c import render_bilinear_c
 from ssm_study.loop.bilinear_feedback import BilinearFeedback, BilinearPlant
 from ssm_study.loop.rollout import simulate_closed_loop
@@ -287,9 +288,3 @@ def refuse_foreign_files(folder: Path) -> None:
     names = foreign_files(folder)
     problem = f"{', '.join(names[:3])} belongs to no saved bilinear design"
     require(not names, "design", folder, problem, "take it out, or save the design again")
-
-
-def read_json(path: Path) -> Any:
-    """Read the content of a JSON file."""
-    text = path.read_text(encoding="utf-8")
-    return json.loads(text)

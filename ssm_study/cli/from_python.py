@@ -15,6 +15,7 @@ from ssm_study.cli import run as command
 from ssm_study.cli.hydra_errors import explain_hydra_error
 from ssm_study.cli.request import quote_sines
 from ssm_study.engine.records import FAILED
+from ssm_study.extensions import configuration_folder
 from ssm_study.refusal import require
 from ssm_study.study import line
 from ssm_study.table.gather import gather
@@ -35,7 +36,7 @@ def compose_configuration(overrides: Sequence[str]) -> DictConfig:
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
-    folder = command.configuration_folder()
+    folder = configuration_folder()
     callers_hydra = GlobalHydra.instance().hydra
     GlobalHydra.instance().clear()  # the caller may be a Hydra program itself
     try:

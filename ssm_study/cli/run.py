@@ -6,8 +6,6 @@ import os
 import sys
 import warnings
 from collections.abc import Callable
-from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import hydra
@@ -28,6 +26,7 @@ from ssm_study.cli.request import (
 )
 from ssm_study.cli.summary import print_run_summary, print_sweep_summary
 from ssm_study.engine.compose import HydraCommandLine, clear_hydra_state
+from ssm_study.extensions import configuration_folder
 from ssm_study.refusal import BadRequest, require
 
 NOTHING_SET = "no setting given: this is the paper's motor (experiment=paper); --help lists others"
@@ -57,13 +56,6 @@ def _warning_text(
     if category.__module__.startswith("ssm_study"):
         return f"ssm-study: {message}\n"
     return PYTHONS_WARNING(message, category, filename, lineno, line)
-
-
-def configuration_folder() -> Path:
-    """Folder of the configuration files, in the installed package or next to the package in a
-    clone."""
-    package = Path(str(files("ssm_study")))
-    return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
 
 
 def run(overrides: list[str]) -> int:

@@ -6,17 +6,9 @@ They test every yaml of a group, of this package and of trusted packages (`ssm_s
 """
 
 from functools import cache
-from pathlib import Path
 from typing import Any
 
-from ssm_study.cli.run import configuration_folder
-from ssm_study.extensions import extension_configuration_folders
-
-
-def configuration_folders() -> list[Path]:
-    """Folders with the yaml files of configuration groups, in the order in which Hydra searches
-    them."""
-    return [configuration_folder(), *extension_configuration_folders()]
+from ssm_study.extensions import configuration_folders
 
 
 def list_choices(group: str) -> list[str]:

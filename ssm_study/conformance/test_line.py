@@ -10,8 +10,12 @@ import jaxtyping
 import pytest
 
 from ssm_study.cli.main import main
-from ssm_study.conformance import configuration_folders, list_choices
-from ssm_study.extensions import extension_configuration_folders, extension_modules
+from ssm_study.conformance import list_choices
+from ssm_study.extensions import (
+    configuration_folders,
+    extension_configuration_folders,
+    extension_modules,
+)
 from ssm_study.report import figures
 from ssm_study.study.verify import verify
 

@@ -299,7 +299,7 @@ def divergence_columns(loops: list[LoopRuns], step_s: float) -> Columns:
 CERTIFIED = ("certified_bound_violations", "estimate_decay_rate", "certified_bound_excess_plant")
 
 
-def certificate_columns(loop: LoopRuns, design: Design) -> Columns:
+def certified_bound_columns(loop: LoopRuns, design: Design) -> Columns:
     """Table columns that compare the distance from the equilibrium in simulation with its certified
     bound.
 

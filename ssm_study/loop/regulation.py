@@ -14,7 +14,7 @@ from ssm_study.loop.motion import settling_times_s
 from ssm_study.loop.peers.peer import IdentificationResult, Row
 from ssm_study.loop.reference import EquilibriumReference, Reference
 from ssm_study.loop.rollout import UNLIMITED, Limits, Rollouts, simulate_closed_loop
-from ssm_study.loop.trajectory import invert_map, scaled_equilibrium
+from ssm_study.loop.trajectory import find_map_arguments, scaled_equilibrium
 from ssm_study.models.structured import Model, StructuredSSM, linearise_at_equilibrium
 from ssm_study.plants.disturbance import Disturbance, NoDisturbance
 from ssm_study.plants.plant import Equilibrium, Plant
@@ -115,7 +115,7 @@ class IdentifiedPlant(Plant):
         scaled_output = self.model.scale.scaled_output(y)
         if not isinstance(self.model, StructuredSSM):
             scaffold = self.model.scaffold_out
-            matrix = invert_map(scaffold, scaled_output[None])
+            matrix = find_map_arguments(scaffold, scaled_output[None])
             scaled_output = matrix[0]
         linear_c = self.model.linear.c
         pseudo_inverse = np.linalg.pinv(linear_c)

@@ -43,7 +43,7 @@ def scaled_equilibrium(model: Model, output: Vector) -> tuple[Vector, Vector]:
     the smallest `S_u(u*)` is taken. Raises `BadRequest` when no input holds that output.
     """
     scaled_output = model.scale.scaled_output(output)
-    matrix = invert_map(model.scaffold_out, scaled_output[None])
+    matrix = find_map_arguments(model.scaffold_out, scaled_output[None])
     y_bar = matrix[0]
     n = model.order
     output_sizes = np.abs(y_bar)
@@ -65,7 +65,7 @@ def scaled_equilibrium(model: Model, output: Vector) -> tuple[Vector, Vector]:
     problem = "no constant input of the model holds this scaled output"
     _require_solved(is_reached, y_bar, problem, "")
     equilibrium_input = point[None, n:]
-    scaled_input = invert_map(model.scaffold_in, equilibrium_input)[0]
+    scaled_input = find_map_arguments(model.scaffold_in, equilibrium_input)[0]
     return point[:n], scaled_input
 
 
@@ -113,7 +113,7 @@ def reference_tracking_trajectory(model: SSM, reference: Reference) -> Plan:
     null_space = scipy.linalg.null_space(outputs, rcond=IDLE_SHARE)
     idle = (inputs @ null_space).T
     scaled_reference = model.scale.scaled_output(reference)
-    output_target = invert_map(model.scaffold_out, scaled_reference)
+    output_target = find_map_arguments(model.scaffold_out, scaled_reference)
     target = np.pad(output_target, ((0, 0), (0, len(idle))))
     driven_by_changes = _system_of_input_changes(system, idle)
     f = driven_by_changes.a
@@ -144,7 +144,7 @@ def reference_tracking_trajectory(model: SSM, reference: Reference) -> Plan:
     tracking_loop = StateSpace(a=closed, b=g, c=state_and_input, d=feedthrough)
     plan, _ = tracking_loop.simulate(preview)
     states = plan[:, :n]
-    scaled_inputs = invert_map(model.scaffold_in, plan[:, n:])
+    scaled_inputs = find_map_arguments(model.scaffold_in, plan[:, n:])
     return np.concatenate([states, scaled_inputs], axis=1)
 
 
@@ -211,18 +211,18 @@ def set_point_equilibria(model: Model, reference: Reference) -> Plan:
     return equilibria[value_numbers]
 
 
-def invert_map(static_map: Scaffold, values: Matrix) -> Matrix:
-    """Inverse of a static map: arguments at which the map has given values, one for each row.
-    Solves `S(v) = w` for `v`.
+def find_map_arguments(static_map: Scaffold, values: Matrix) -> Matrix:
+    """Find the arguments at which a static map has given values, one for each row. Solves `S(v) =
+    w` for `v`.
 
     Scalar maps, which are monotone, are inverted in a bracket; others by damped Newton steps.
     Raises `BadRequest` when the map does not reach `values`.
     """
     if values.shape[1] == 1:
         channel_values = values[:, 0]
-        roots = _invert_scalar_map(static_map, channel_values)[:, None]
+        roots = _find_scalar_arguments(static_map, channel_values)[:, None]
     else:
-        roots = _invert_vector_map(static_map, values)
+        roots = _find_vector_arguments(static_map, values)
     is_zero = (values == 0).all(axis=1, keepdims=True)
     v = np.where(is_zero, 0.0, roots)  # S(0) = 0 holds exactly
     mapped = static_map(v)
@@ -238,7 +238,7 @@ def invert_map(static_map: Scaffold, values: Matrix) -> Matrix:
     return v
 
 
-def _invert_scalar_map(static_map: Scaffold, w: Vector) -> Vector:
+def _find_scalar_arguments(static_map: Scaffold, w: Vector) -> Vector:
     """Arguments at which a static map of one channel has given values, by Chandrupatla's
     root-finding method. Solves `S(v) = w`.
 
@@ -259,7 +259,7 @@ def _invert_scalar_map(static_map: Scaffold, w: Vector) -> Vector:
     return np.asarray(root.x)
 
 
-def _invert_vector_map(static_map: Scaffold, w: Matrix) -> Matrix:
+def _find_vector_arguments(static_map: Scaffold, w: Matrix) -> Matrix:
     """Arguments at which a static map of several channels has given values, by Newton's method.
     Solves `S(v) = w`."""
     values, index = np.unique(w, axis=0, return_inverse=True)

@@ -19,7 +19,7 @@ from ssm_study.engine.settings import plain_settings
 from ssm_study.evidence import metrics as evidence_metrics
 from ssm_study.evidence.metrics import evidence_columns
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.metrics import behaviour_columns, certificate_columns
+from ssm_study.loop.metrics import behaviour_columns, certified_bound_columns
 from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import Rollouts, replay_error
 from ssm_study.loop.textbook_pi import textbook_pi_columns
@@ -267,7 +267,9 @@ def check_loops(run: RunFiles) -> Claims:
         pairs[NOISE_FREE] = stored.noise_free, again.noise_free
         measured = replace(stored, quiet=again.quiet)  # no recording holds the run without noise
     yield DerivedColumns(
-        {"loop_on": loop_on} | behaviour_columns(measured) | certificate_columns(stored, run.design)
+        {"loop_on": loop_on}
+        | behaviour_columns(measured)
+        | certified_bound_columns(stored, run.design)
     )
     for name, pair in pairs.items():
         if pair != (None, None):

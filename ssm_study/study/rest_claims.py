@@ -3,8 +3,9 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from ssm_study.api.rest_design import CERTIFICATE, CHANNELS, MODEL, foreign_files, read_json
+from ssm_study.api.rest_design import CERTIFICATE, CHANNELS, MODEL, foreign_files
 from ssm_study.certificates.bilinear_certificates import BilinearDesign, failed_bilinear_checks
+from ssm_study.durable import read_json
 from ssm_study.models.bilinear import Bilinear
 from ssm_study.models.stored import model_from_json
 from ssm_study.refusal import BadRequest

@@ -17,6 +17,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.data.channel_names import as_name_tuple
 from ssm_study.data.clock import AGREEMENT
 from ssm_study.data.recording import ColumnSettings
+from ssm_study.durable import read_json
 from ssm_study.engine.settings import run_name
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.loop.rollout import Rollouts
@@ -24,7 +25,7 @@ from ssm_study.refusal import require, require_at_least
 from ssm_study.signals import DataSet, Trajectories, Trajectory
 from ssm_study.study.recordings import LOOPS, write_records
 from ssm_study.study.stages.dataset import read_dataset, write_dataset
-from ssm_study.study.stages.files import read_json, write_json
+from ssm_study.study.stages.files import write_json
 from ssm_study.study.stages.model import read_model
 
 if TYPE_CHECKING:

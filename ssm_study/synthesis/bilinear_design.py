@@ -33,6 +33,7 @@ from ssm_study.synthesis.bilinear_gains import (
     solve_or_raise,
     symmetric_solution_matrix,
 )
+from ssm_study.systems import spectral_radius
 
 HALVINGS = 6  # of the interval in which a factor is sought
 ROUNDING = 1e-6  # relative: what keeps an inequality strict after numbers are rounded
@@ -147,8 +148,7 @@ def contraction_metric(matrices: list[Matrix], least_metric: Matrix, failure_rea
     common factor. Raises `NoSolution` with the reason where none is found."""
     highest = 1.0 - 10.0 * ROUNDING
     metric = metric_for_factor(matrices, highest, least_metric, failure_reason)
-    spectral_radii = (float(np.abs(np.linalg.eigvals(matrix)).max()) for matrix in matrices)
-    lowest = max(spectral_radii)
+    lowest = max(spectral_radius(matrix) for matrix in matrices)
     for _ in range(HALVINGS):
         factor = 0.5 * (lowest + highest)
         try:

@@ -17,7 +17,7 @@ from ssm_study.certificates.certificate import Design, Infeasible
 from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import NoSolution
 from ssm_study.certificates.theorems.integral_action import append_internal_model
-from ssm_study.loop.metrics import behaviour_columns, certificate_columns
+from ssm_study.loop.metrics import behaviour_columns, certified_bound_columns
 from ssm_study.loop.regulation import LoopExperiment
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest
@@ -144,7 +144,7 @@ def test_an_uncertain_mismatch_moves_the_choice_away_from_the_edge():
 def test_the_choice_settles_the_true_motor_faster_than_none(chosen):
     loop = LoopExperiment(horizon_s=1.5, measurement_noise_variance=0.02)
     result = loop.run_design(motor(), motor_model(), chosen, seed=0)
-    columns = behaviour_columns(result) | certificate_columns(result, chosen)
+    columns = behaviour_columns(result) | certified_bound_columns(result, chosen)
     assert columns["stable_count"] == 10
     upper_limit = 0.6 * columns["settling_time_open_loop_s"]
     assert columns["settling_time_mean_s"] < upper_limit

@@ -21,12 +21,13 @@ from ssm_study.cli.commands import confirm_overwriting, drawn_figures_text, expo
 from ssm_study.cli.hydra_errors import explain_hydra_error
 from ssm_study.cli.main import DONE, WRONG_REQUEST, main
 from ssm_study.cli.request import translate_arguments
-from ssm_study.cli.run import configuration_folder, print_activity, run
+from ssm_study.cli.run import print_activity, run
 from ssm_study.cli.summary import print_run_summary
 from ssm_study.durable import file_lock
 from ssm_study.engine.records import LOCK, write_record
 from ssm_study.engine.runs import Run
 from ssm_study.engine.task import RunStages
+from ssm_study.extensions import configuration_folder
 from ssm_study.refusal import BadRequest
 from ssm_study.report.figures import closed_loop_responses
 from ssm_study.report.run_record import print_run

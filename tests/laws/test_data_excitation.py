@@ -234,7 +234,7 @@ def test_a_file_is_taken_as_it_is(tmp_path: Path) -> None:
     assert size.max() <= 1.0
     long = replace(ONE, samples=2000, amplitude=(1.0,), clock_s=0.1)
     rng = np.random.default_rng(0)
-    with pytest.raises(BadRequest, match="has 1500 rows and records of 2000 samples"):
+    with pytest.raises(BadRequest, match="has 1500 rows, fewer than the 2000 samples"):
         own_signal.signal(long, rng)
     rng = np.random.default_rng(0)
     with pytest.raises(BadRequest, match="the plant has 2 inputs"):

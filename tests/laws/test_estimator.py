@@ -128,7 +128,7 @@ def test_wrong_use_is_refused_in_a_sentence() -> None:
     with pytest.raises(st.BadRequest, match=r"is not fitted; call fit\(u, y\) first"):
         arx().predict(u)
     fitted = arx().fit(u, y)
-    with pytest.raises(st.BadRequest, match="nothing is left to score"):
+    with pytest.raises(st.BadRequest, match="none are left to score"):
         fitted.score(u[:20], y[:20])
     constant = np.ones(60)
     with pytest.raises(st.BadRequest, match="is constant"):

@@ -261,5 +261,5 @@ def test_no_gain_is_promised_where_an_unstable_mode_is_out_of_reach() -> None:
 def test_limits_of_a_bare_system_are_refused() -> None:
     system = (A, B, C, NO_DIRECT_PATH, 0.1)
     input_limits = (-1.0, 1.0)
-    with pytest.raises(BadRequest, match="of a bare system nothing is proved there; leave them"):
+    with pytest.raises(BadRequest, match="nothing is proved within input limits; leave them"):
         st.control(system, rate=0.5, input_limits=input_limits)

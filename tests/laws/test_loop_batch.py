@@ -8,7 +8,7 @@ import pytest
 from loop_cases import motor, motor_design, motor_model, random_model
 
 from ssm_study.loop.controller import NoControl, ObserverFeedback
-from ssm_study.loop.metrics import behaviour_columns, certificate_columns
+from ssm_study.loop.metrics import behaviour_columns, certified_bound_columns
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment
 from ssm_study.loop.rollout import STAYED, simulate_closed_loop
@@ -258,7 +258,7 @@ def test_a_case_that_starts_beyond_the_bound_shows_its_start_and_no_input():
 
 def test_every_column_is_a_number_or_nothing():
     result = LOOP.run_design(motor(), motor_model(), motor_design(), seed=0)
-    columns_of_certificate = certificate_columns(result, motor_design())
+    columns_of_certificate = certified_bound_columns(result, motor_design())
     columns = behaviour_columns(result) | columns_of_certificate
     values = columns.values()
     is_number = [value is None or np.isfinite(value) for value in values]

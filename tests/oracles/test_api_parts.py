@@ -11,13 +11,13 @@ from ssm_study.api import fitting
 from ssm_study.api.parts import (
     GROUPS,
     StudyParts,
-    configuration_folders,
     format_setting_value,
     load_choice,
     part_of_setting,
 )
 from ssm_study.cli.from_python import compose_configuration
 from ssm_study.engine.settings import plain_settings
+from ssm_study.extensions import configuration_folders
 from ssm_study.refusal import BadRequest
 
 ROOT = Path(__file__).parents[2]

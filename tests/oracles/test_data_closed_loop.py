@@ -163,12 +163,12 @@ def test_refusals(tmp_path: Path) -> None:
             RecordedData(**settings, controller=controller)
     clipped_u = np.clip(u, -1, 1)
     clipped = log(clipped_u, y)
-    with pytest.raises(BadRequest, match="are at a limit of the input"):
+    with pytest.raises(BadRequest, match="at a limit of the input"):
         reconstruct_pi_set_point(clipped, GAIN, INTEGRAL_S)
     two_inputs = np.stack([u, u], axis=1)
     outputs = y[:, None]
     trajectory = Trajectory(u=two_inputs, y=outputs, step_s=STEP_S)
-    with pytest.raises(BadRequest, match="a PI has one each"):
+    with pytest.raises(BadRequest, match="a PI needs one each"):
         reconstruct_pi_set_point(trajectory, GAIN, INTEGRAL_S)
     short = log(u[:300], y[:300])
     logs = [short]

@@ -78,7 +78,7 @@ def test_numbers_that_are_names_and_places_of_different_columns(tmp_path: Path) 
     path.write_text(f"1,2,3\n{rows}\n")
     fields: dict[str, object] = {"path": str(path), "input": 1, "output": 2, "step_s": 0.1}
     recorded_data = RecordedData(**fields)
-    with pytest.raises(BadRequest, match=r"is the name of column 0 .*data\.header=true"):
+    with pytest.raises(BadRequest, match=r"is both the name of column 0 .*data\.header=true"):
         recorded_data.read_pieces(path)
     names_of_columns = {"input": 2, "output": 3, "header": True}
     named_fields = fields | names_of_columns

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.metrics import behaviour_columns, certificate_columns
+from ssm_study.loop.metrics import behaviour_columns, certified_bound_columns
 from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import Linear
@@ -91,7 +91,7 @@ def test_the_loop_reckons_with_the_dead_time_and_without_it_does_not_settle() ->
     assert failed_checks(stored, late_model.linear, balls) == []
     aware = loop.run_design(plant, late_model, aware_design, seed=0)
     assert behaviour_columns(aware)["stable_count"] == 10
-    columns = certificate_columns(aware, aware_design)
+    columns = certified_bound_columns(aware, aware_design)
     assert columns["certified_bound_violations"] == 0
     controller = ObserverFeedback.from_design(model, naive_design)
     naive = loop.run_on_plant(plant, controller, seed=0)

@@ -14,7 +14,7 @@ from ssm_study.certificates.theorems.integral_action import append_internal_mode
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.loop.certified_bound import relative_bound_excess
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.metrics import behaviour_columns, certificate_columns
+from ssm_study.loop.metrics import behaviour_columns, certified_bound_columns
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import LoopExperiment
 from ssm_study.loop.trajectory import scaled_equilibrium
@@ -127,7 +127,7 @@ def test_without_integral_action_the_load_leaves_an_error():
 
 def test_the_certified_bound_holds_with_integrators(design):
     result = LOADED.run_design(motor(), motor_model(), design, seed=1)
-    columns = certificate_columns(result, design)
+    columns = certified_bound_columns(result, design)
     assert columns["certified_bound_violations"] == 0
     rate = design.observer.rate
     lower_limit = rate * (1 - 1e-9)

@@ -19,7 +19,7 @@ from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.cli.request import quote_sines
 from ssm_study.construction import construct_part
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.metrics import certificate_columns
+from ssm_study.loop.metrics import certified_bound_columns
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import LoopExperiment
 from ssm_study.loop.rollout import Rollouts
@@ -230,7 +230,7 @@ def test_the_certified_bound_holds_with_a_sine():
     run = LoopExperiment(initial_conditions=3, horizon_s=2.0)
     design = made("step", "sine(0.5Hz)")
     loop = run.run_design(motor(), motor_model(), design, seed=1)
-    columns = certificate_columns(loop, design)
+    columns = certified_bound_columns(loop, design)
     certified_bound_violations = columns["certified_bound_violations"]
     assert certified_bound_violations == 0
 

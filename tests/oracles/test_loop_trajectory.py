@@ -13,7 +13,7 @@ from ssm_study.bounds.network import Network
 from ssm_study.loop.reference import FileReference, StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, LoopExperiment
 from ssm_study.loop.trajectory import (
-    invert_map,
+    find_map_arguments,
     reference_tracking_trajectory,
     scaled_equilibrium,
     set_point_equilibria,
@@ -27,7 +27,7 @@ from ssm_study.refusal import BadRequest
 def test_scalar_inverse_undoes_the_map(seed, v):
     scaffold = random_model(seed).scaffold_in
     w = scaffold(np.array([[v]]))
-    actual = invert_map(scaffold, w)
+    actual = find_map_arguments(scaffold, w)
     expected = [[v]]
     np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-9)
 
@@ -37,7 +37,7 @@ def test_inverse_of_a_map_with_several_channels():
     model = random_model(3, inputs=3, outputs=2)
     v = rng.standard_normal((20, 3))
     w = model.scaffold_in(v)
-    actual = invert_map(model.scaffold_in, w)
+    actual = find_map_arguments(model.scaffold_in, w)
     np.testing.assert_allclose(actual, v, rtol=1e-8, atol=1e-8)
 
 
@@ -46,7 +46,7 @@ def test_inverse_of_a_map_with_several_channels():
 def test_what_is_left_of_zero_by_rounding_is_reached(inputs, size):
     scaffold = random_model(3, inputs=inputs, outputs=1).scaffold_in
     w = np.full((1, inputs), size)
-    matrix = invert_map(scaffold, w)
+    matrix = find_map_arguments(scaffold, w)
     largest = np.abs(matrix).max()
     assert largest < 1e-11
 
@@ -67,7 +67,7 @@ def test_a_value_the_map_does_not_reach_is_refused():
     scaffold = MlpScaffold(network=flat)
     w = np.array([[5.0]])
     with pytest.raises(BadRequest, match="does not reach"):
-        invert_map(scaffold, w)
+        find_map_arguments(scaffold, w)
 
 
 @pytest.mark.parametrize("seed", range(4))

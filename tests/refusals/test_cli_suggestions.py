@@ -20,7 +20,7 @@ from ssm_study.cli.hydra_errors import (
     suggest_package,
 )
 from ssm_study.cli.request import compose_request, quote_sines, translate_arguments
-from ssm_study.cli.run import configuration_folder
+from ssm_study.extensions import configuration_folder
 from ssm_study.refusal import BadRequest
 
 PLAN = ["--multirun", "hydra/launcher=processes", "dry_run=true"]

@@ -13,9 +13,10 @@ from omegaconf import OmegaConf
 from ssm_study.cli.from_python import compose_configuration
 from ssm_study.cli.hydra_errors import suggest_key
 from ssm_study.cli.main import INTERRUPTED, main
-from ssm_study.cli.run import _warning_text, configuration_folder
+from ssm_study.cli.run import _warning_text
 from ssm_study.data.metrics import UnidentifiableSlopesWarning
 from ssm_study.engine.records import write_record
+from ssm_study.extensions import configuration_folder
 from ssm_study.refusal import BadRequest
 from ssm_study.study.line import STUDY
 from ssm_study.table.folders import check_study_folder, find_run_folder

@@ -49,7 +49,7 @@ from ssm_study.bounds.frequency import hinf_norm
 from ssm_study.certificates.certificate import GainTheorem
 from ssm_study.certificates.problem import NoSolution, Solution
 from ssm_study.certificates.riccati import SLACK, least_metric
-from ssm_study.systems import JacobianBall, StateSpace
+from ssm_study.systems import JacobianBall, StateSpace, spectral_radius
 
 RATE_TOLERANCE = 1e-6  # the rate is found to this share; what is stored lies further inside
 # How far inside, as shares of the rate, in order of trial; where none is certified the asked rate
@@ -74,7 +74,7 @@ def largest_rate(
     gain. `1 - r^2` at the smallest such r, up to the relative error `RATE_TOLERANCE`; negative
     where even r = 1 is not proved."""
     closed = a + ball.alpha * b @ k
-    radius = float(np.abs(np.linalg.eigvals(closed)).max())
+    radius = spectral_radius(closed)
     smallest = max(radius, np.finfo(float).eps)
     if ball.beta == 0 or not k.any():
         return 1 - smallest**2

@@ -39,7 +39,8 @@ def parse_mat_hdf5(path: Path, max_bytes: int) -> dict[str, Shaped[np.ndarray, "
         if total > max_bytes:
             raise ValueError(f"it holds more than {max_bytes >> 20} MiB; split it")
         return {
-            name: value if isinstance(value, str) else read_matrix(value) for name, value in pairs
+            name: value if isinstance(value, str) else read_hdf5_matrix(value)
+            for name, value in pairs
         }
 
 
@@ -74,7 +75,7 @@ def matlab_class(node: Any) -> str:
     return str(stated)
 
 
-def read_matrix(node: Any) -> Shaped[np.ndarray, "..."]:
+def read_hdf5_matrix(node: Any) -> Shaped[np.ndarray, "..."]:
     """Read an HDF5 data set as a matrix with rows and columns as in MATLAB."""
     values = np.asarray(node[()])
     return np.atleast_2d(values).T

@@ -4,12 +4,13 @@ from pathlib import Path
 from typing import Any
 
 from ssm_study.data.metrics import data_set_columns
+from ssm_study.durable import read_json
 from ssm_study.engine.stages import Stage
 from ssm_study.plants.plant import Plant
 from ssm_study.signals import DataSet
 from ssm_study.study.read_once import read_data_set
 from ssm_study.study.recordings import TRIALS, write_records
-from ssm_study.study.stages.files import read_json, write_json
+from ssm_study.study.stages.files import write_json
 
 
 def compute_dataset(

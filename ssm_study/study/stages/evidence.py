@@ -2,11 +2,12 @@
 
 from pathlib import Path
 
+from ssm_study.durable import read_json
 from ssm_study.engine.stages import Stage
 from ssm_study.evidence.metrics import Judgement, collect_findings, evidence_columns
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import DataSet
-from ssm_study.study.stages.files import read_json, write_json
+from ssm_study.study.stages.files import write_json
 from ssm_study.study.stages.free_run import ModelRun
 
 

@@ -1,15 +1,8 @@
-"""Reading and writing of a stage's JSON files."""
+"""Writing of a stage's JSON files."""
 
 import json
 from pathlib import Path
 from typing import Any
-
-from ssm_study.durable import read_limited_bytes
-
-
-def read_json(path: Path) -> Any:
-    """Read the content of a JSON file."""
-    return json.loads(read_limited_bytes(path))
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import Any
 
 from ssm_study.certificates.certificate import Design
+from ssm_study.durable import read_json
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import DataSet
-from ssm_study.study.stages.files import read_json, write_json
+from ssm_study.study.stages.files import write_json
 from ssm_study.study.stages.free_run import ModelRun
 from ssm_study.study.stages.synthesis import recorded_error_spectra
 from ssm_study.synthesis.measured_discs_run import (

@@ -7,7 +7,7 @@ from typing import Any
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.engine.stages import Facts, Stage
-from ssm_study.loop.metrics import behaviour_columns, certificate_columns
+from ssm_study.loop.metrics import behaviour_columns, certified_bound_columns
 from ssm_study.loop.peers.peer import IdentificationResult
 from ssm_study.loop.regulation import (
     IdentifiedPlant,
@@ -81,7 +81,9 @@ def loop_result_columns(
     if experiment is None:
         return {}
     closed, loop_on = experiment
-    return {"loop_on": loop_on} | behaviour_columns(closed) | certificate_columns(closed, design)
+    return (
+        {"loop_on": loop_on} | behaviour_columns(closed) | certified_bound_columns(closed, design)
+    )
 
 
 LOOP = Stage("loop", compute_loop, read_loop, loop_result_columns, LOOPS)

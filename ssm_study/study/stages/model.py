@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ssm_study.durable import read_json
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.models.members import member_columns
 from ssm_study.models.metrics import model_size_columns
 from ssm_study.models.stored import model_from_json
 from ssm_study.signals import DataSet
-from ssm_study.study.stages.files import read_json, write_json
+from ssm_study.study.stages.files import write_json
 from ssm_study.training.metrics import training_columns
 
 if TYPE_CHECKING:

@@ -7,13 +7,14 @@ from typing import Any
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
+from ssm_study.durable import read_json
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.evidence.metrics import Judgement, withhold_predictions
 from ssm_study.robustness.coverage import measure_error_spectra
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.sine_trials import SineMismatch
 from ssm_study.signals import DataSet
-from ssm_study.study.stages.files import read_json, write_json
+from ssm_study.study.stages.files import write_json
 from ssm_study.study.stages.free_run import ModelRun
 from ssm_study.synthesis.sine_judgement import (
     measure_error_with_simulated_sines,

@@ -3,10 +3,11 @@
 from pathlib import Path
 from typing import Any
 
+from ssm_study.durable import read_json
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.loop.regulation import LoopExperiment
 from ssm_study.loop.textbook_pi import textbook_pi_columns
-from ssm_study.study.stages.files import read_json, write_json
+from ssm_study.study.stages.files import write_json
 from ssm_study.study.stages.free_run import ModelRun
 
 FILE = "textbook_pi.json"
