@@ -48,7 +48,7 @@ def simulate_given_record(
     samples = len(inputs)
     output_count = len(data.outputs)
     expected_shape = (samples, output_count)
-    problem = f"the outputs of {name} have the shape {expected_shape}"
+    problem = f"{name} gives outputs {expected_shape}"
     remedy = "give the outputs of this input"
     has_expected_shape = outputs.shape == expected_shape
     require(has_expected_shape, "y", outputs.shape, problem, remedy)

@@ -55,8 +55,7 @@ def print_outcome(
 
 
 def figure_lines(figures: Sequence[Path]) -> list[str]:
-    """Text lines that name the saved figures, with paths relative to the current folder:
-    `figures/hankel_spectrum.png, .pdf`."""
+    """Text lines that name the saved figures, such as `figures/hankel_spectrum.png, .pdf`."""
     kinds: dict[str, list[str]] = {}
     for path in figures:
         stem = str(path.with_suffix("")).removeprefix(f"{Path.cwd()}/")
@@ -127,8 +126,7 @@ def format_column(
 
 
 def prediction_fit_row(record: Mapping[str, Any], fit: str) -> tuple[str, str]:
-    """Row of a run's printed results on the fit of the predictor, if it is a mean of several models
-    or a bilinear model."""
+    """Row of a run's printed results on the fit of a mean of models or of a bilinear model."""
     if record["members"] == 1:
         return "Model that predicts", f"{fit}, with products of input and state"
     return "Mean that predicts", f"{fit}, of {record['members']} models"
@@ -248,11 +246,8 @@ def input_limit_rows(record: Mapping[str, Any], facts: RunFacts) -> Iterator[Row
 
 
 def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows of a run's printed results on whether the proof covers the recorded model error.
-
-    Below one the proof covers nothing and no share is printed; for an older run the tolerated gain
-    is.
-    """
+    """Rows of a run's printed results on whether the proof covers the recorded model error, which a
+    coverage below one does not; for an older run, on the tolerated gain."""
     label = "Model error covered"
     coverage = record.get("coverage")
     if coverage is None and record.get("coverage_reason") is None:
@@ -274,10 +269,8 @@ def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def refit_text(record: Mapping[str, Any]) -> str:
-    """Remark that the model was trained on the records that measure its error; empty otherwise.
-
-    Such records show less of the error than records that the training has not seen.
-    """
+    """Remark that the model was trained on the records that measure its error, which then show less
+    of it; otherwise empty."""
     is_refitted = TRAINED_ON_VALIDATION in str(record.get("training_ended"))
     return "; the model was trained on these records" if is_refitted else ""
 
