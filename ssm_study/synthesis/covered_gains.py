@@ -146,8 +146,7 @@ class GainSearch:
         best = ScoredGains(gains=start_design.gain_pair, area=area, coverage=coverage)
         allowed = max(largest_area, area)
         random = np.random.default_rng(SEED)
-        first_gains = [start_design.gain_pair]
-        first_ratios = self._settling_time_ratios(first_gains)
+        first_ratios = self._settling_time_ratios([start_design.gain_pair])
         slowest = max(FASTER, first_ratios[0])
         if isinstance(self.model.system, StructuredSystem):
             guided = SlopeSearch(
