@@ -25,7 +25,7 @@ WRONG = {
     "a list for progress": (["progress=[[1]]"], "progress = [[1]]: is neither true nor false"),
     "a number for strict": (["strict=-1"], "strict = -1: is neither true nor false"),
     "a number for dry_run": (["dry_run=0"], "dry_run = 0: is neither true nor false"),
-    "nothing for a plant": (["plant={}"], "plant = {}: changes nothing"),
+    "nothing for a plant": (["plant={}"], "plant = {}: has no effect"),
     "a list for a number": (["plant.step_s=[]"], " = []: is not a number"),
     "numbers for a group": (["loop=[1,[2,[3]]]"], "is no name of a choice"),
     "a choice of a sweep beside a key that is not there": (
@@ -41,7 +41,7 @@ WRONG = {
         "did you mean synthesis.rate_controller or synthesis.rate_observer?",
     ),
     "a misspelt setting": (["model.ordr=2"], "did you mean model.order?"),
-    "nothing for a part of one": (["model.scaffold_in={}"], "changes nothing"),
+    "nothing for a part of one": (["model.scaffold_in={}"], "has no effect"),
 }
 
 
