@@ -163,7 +163,9 @@ def judge_instability(
     """
     whole = replace(data, training=(*data.training, *data.validation, *data.test))
     fitted_data = data if is_closed_loop else whole
-    lags_tried = LAGS_IN_LOOP if is_closed_loop else LAGS
+    longest = max(len(record) for record in fitted_data.training)
+    has_room = longest > SHORTEST * max(LAGS_IN_LOOP)
+    lags_tried = LAGS_IN_LOOP if is_closed_loop and has_room else LAGS
     modes = [dominant_pole_modulus(fitted_data, lags) for lags in lags_tried]
     slowest = min(modes)
     samples = sum(map(len, whole.training))

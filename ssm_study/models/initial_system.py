@@ -146,11 +146,14 @@ def fit_arx_matrices(
 ) -> tuple[Float[np.ndarray, "lags p p"], Float[np.ndarray, "lags_1 p m"]]:
     """Estimate the coefficient matrices of a multivariable ARX model by least squares. `y[k] =
     sum_i a_i y[k-i] + sum_j b_j u[k-j]`, i = 1 ... lags, j = 0 ... lags (b_0 = 0 without
-    feedthrough)."""
+    feedthrough).
+
+    Records of no more samples than lags, such as pieces between two holes of a log, are left out.
+    """
     first = 0 if feedthrough else 1
     rows = []
     targets = []
-    for u, y in records:
+    for u, y in (record for record in records if len(record[0]) > lags):
         output_lags = range(1, lags + 1)
         past = [y[lags - i : len(y) - i] for i in output_lags]
         input_lags = range(first, lags + 1)

@@ -9,6 +9,7 @@ from ssm_study.data.assembly import assemble_dataset
 from ssm_study.models import baseline_comparison
 from ssm_study.models.baseline_comparison import baseline_columns
 from ssm_study.models.baselines.regression import (
+    NarxModel,
     fit_arx,
     fit_narx_models,
     fit_output_error,
@@ -23,10 +24,11 @@ from ssm_study.models.baselines.starts import (
     simulate_by_kind_of_start,
 )
 from ssm_study.models.best_baseline import Baseline, fit_baselines, fit_best_baseline
+from ssm_study.models.initial_system import fit_arx_matrices
 from ssm_study.models.warm_start import PAST, SAMPLES
 from ssm_study.refusal import BadRequest
 from ssm_study.report.outcome import baseline_text
-from ssm_study.signals import Channel, DataSet, Trajectory, fit_percent
+from ssm_study.signals import Channel, DataSet, Scale, Trajectory, fit_percent
 from ssm_study.training.metrics import records_fit_percent
 
 KNOWN = {1001: 1.2, 1002: -0.5, 2001: 0.3}  # y[k] = 1.2 y[k-1] - 0.5 y[k-2] + 0.3 u[k-1]
@@ -250,3 +252,26 @@ def test_a_polynomial_runs_through_the_log_before_a_record() -> None:
     whole = np.concatenate([past.u, data.test[0].u])
     expected = model.simulate_from_outputs(whole, past.y[:20])[len(past) :]
     np.testing.assert_array_equal(run.simulated[0], expected)
+
+
+@pytest.mark.parametrize("short", [3, 9, 12, 20])
+def test_pieces_shorter_than_the_lags_change_no_arx_model(short: int) -> None:
+    """A log that is cut at every missing row has such pieces."""
+    long_record = record(400, 1)
+    pairs = [(long_record.u, long_record.y)]
+    piece = record(short, 2)
+    expected = fit_arx_matrices(pairs, 20, True)
+    found = fit_arx_matrices([*pairs, (piece.u, piece.y)], 20, True)
+    for matrices, matrices_without in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(matrices, matrices_without)
+
+
+@pytest.mark.parametrize("short", [1, 5, 9])
+def test_a_piece_shorter_than_a_lag_is_simulated(short: int) -> None:
+    """No input of before the piece is known, so the term of that lag is zero throughout."""
+    codes = np.array([[1001], [2010]])
+    model = NarxModel(codes=codes, theta=np.array([0.5, 1.0]), scale=Scale.identity(1, 1))
+    u = np.ones((short, 1))
+    start = np.ones((1, 1))
+    y = model.simulate_from_outputs(u, start)
+    np.testing.assert_allclose(y[:, 0], 0.5 ** np.arange(short))
