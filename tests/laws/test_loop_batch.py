@@ -177,15 +177,23 @@ def test_the_model_in_the_plants_place_replays_itself():
 def crane_swing(gain_at_rest: float) -> SSM:
     """Swing of a load under the speed of its trolley: one lightly damped mode of given gain at
     rest."""
-    turn = 0.998 * np.exp(0.22j)
-    a = np.array([[turn.real, turn.imag], [-turn.imag, turn.real]])
+    damped_cosine = 0.9738
+    damped_sine = 0.2178
+    first_row = [damped_cosine, damped_sine]
+    second_row = [-damped_sine, damped_cosine]
+    a = np.array([first_row, second_row])
     b = np.array([[0.0], [0.1]])
-    response = np.linalg.solve(np.eye(2) - a, b)
-    across = np.array([-response[1, 0], response[0, 0]])
-    along = response[:, 0] / (response[:, 0] @ response[:, 0])
-    c = (across + gain_at_rest * along)[None]
-    linear = StateSpace(a=a, b=b, c=c, d=np.zeros((1, 1)))
-    return replace(random_model(0, order=2), linear=linear, scaffold_in=LinearScaffold.identity(1))
+    motionless = np.eye(2) - a
+    at_rest = np.linalg.solve(motionless, b)[:, 0]
+    across = np.array([-at_rest[1], at_rest[0]])
+    power = at_rest @ at_rest
+    along = at_rest / power
+    c = across + gain_at_rest * along
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=b, c=c[None], d=d)
+    identity = LinearScaffold.identity(1)
+    model = random_model(0, order=2)
+    return replace(model, linear=linear, scaffold_in=identity)
 
 
 @pytest.mark.parametrize("gain_at_rest", [0.0, 1e-4, 0.5])
@@ -194,10 +202,15 @@ def test_a_loop_starts_where_the_plant_can_be(gain_at_rest):
     the smallest state with that output, not from the equilibrium of a thousandfold input."""
     model = crane_swing(gain_at_rest)
     plant = IdentifiedPlant.from_model(model)
-    y0 = model.scale.output_equilibrium + model.scale.output_scale * np.array([[1.0]])
+    scale = model.scale
+    highest = scale.output_equilibrium + scale.output_scale
+    y0 = highest[None]
     state = plant.equilibrium_states(y0)
-    np.testing.assert_allclose(plant.output(state), y0, rtol=1e-9)
-    smallest = np.linalg.pinv(model.linear.c) @ np.ones(1)
+    output = plant.output(state)
+    np.testing.assert_allclose(output, y0, rtol=1e-9)
+    linear_c = model.linear.c
+    pseudo_inverse = np.linalg.pinv(linear_c)
+    smallest = pseudo_inverse[:, 0]
     is_smallest = np.allclose(state[0], smallest)
     assert is_smallest is (gain_at_rest < 0.1)
 

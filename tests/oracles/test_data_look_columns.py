@@ -164,11 +164,18 @@ def test_the_weather_is_neither_input_nor_output(tmp_path: Path, titles: str) ->
     """`Ph` is a power in one log, `pH` an acidity in another."""
     names = titles.split(",")
     table = held_levels_log()
-    weather = 10.0 * np.sin(np.arange(len(table)) / 60.0)
-    columns = [table["time (ms)"] / 1e3, table["u"], *([weather] * (len(names) - 3)), table["y"]]
-    log = pd.DataFrame(dict(zip(names, columns, strict=True)))
-    log.to_csv(tmp_path / "log.csv", index=False)
-    seen = look(tmp_path / "log.csv")
+    clock_s = table["time (ms)"] / 1e3
+    days = np.arange(len(table)) / 60.0
+    weather = 10.0 * np.sin(days)
+    columns = [clock_s, table["u"], weather, table["y"]]
+    if len(names) == 3:
+        del columns[2]
+    signals = np.stack(columns, axis=1)
+    log = pd.DataFrame(signals)
+    log.columns = pd.Index(names)
+    path = tmp_path / "log.csv"
+    log.to_csv(path, index=False)
+    seen = look(path)
     assert (seen.input, seen.output) == STRANGERS_TITLES[titles]
 
 
@@ -178,23 +185,35 @@ def test_a_column_named_by_a_unit_of_time_alone_is_the_clock(
 ) -> None:
     table = held_levels_log().rename(columns={"time (ms)": title})
     table[title] = np.arange(len(table))
-    table.to_csv(tmp_path / "log.csv", index=False)
-    assert f"clock {title}; step {unit_s:g} s" in str(look(tmp_path / "log.csv"))
-    source = RecordedData(path=str(tmp_path / "log.csv"), input="u", output="y", time=title)
-    assert source.build(0).step_s == pytest.approx(unit_s)
+    path = tmp_path / "log.csv"
+    table.to_csv(path, index=False)
+    text = str(look(path))
+    assert f"clock {title}; step {unit_s:g} s" in text
+    source = RecordedData(path=str(path), input="u", output="y", time=title)
+    data = source.build(0)
+    assert data.step_s == pytest.approx(unit_s)
 
 
 def test_a_minimum_that_falls_and_rises_is_no_clock(tmp_path: Path) -> None:
-    table = held_levels_log().rename(columns={"y": "min"}).drop(columns="time (ms)")
-    table.to_csv(tmp_path / "log.csv", index=False)
-    assert "no clock found" in str(look(tmp_path / "log.csv", input="u", output="min"))
+    named = held_levels_log().rename(columns={"y": "min"})
+    table = named.drop(columns="time (ms)")
+    path = tmp_path / "log.csv"
+    table.to_csv(path, index=False)
+    text = str(look(path, input="u", output="min"))
+    assert "no clock found" in text
 
 
 def test_a_set_point_is_in_a_command_of_its_own(tmp_path: Path) -> None:
-    table = held_levels_log().assign(setpoint=np.repeat([1.0, 2.0], 200))
-    table.to_csv(tmp_path / "log.csv", index=False)
-    seen = look(tmp_path / "log.csv")
-    assert seen.reference_command == f"{seen.command} data.reference=setpoint"
-    assert str(seen).endswith(f"or if a controller made the input:\n{seen.reference_command}")
-    held_levels_log().to_csv(tmp_path / "log.csv", index=False)
-    assert look(tmp_path / "log.csv").reference_command == ""
+    path = tmp_path / "log.csv"
+    set_point = np.repeat([1.0, 2.0], 200)
+    table = held_levels_log()
+    with_set_point = table.assign(setpoint=set_point)
+    with_set_point.to_csv(path, index=False)
+    seen = look(path)
+    expected = f"{seen.command} data.reference=setpoint"
+    assert seen.reference_command == expected
+    text = str(seen)
+    assert text.endswith(f"or if a controller made the input:\n{expected}")
+    table.to_csv(path, index=False)
+    without = look(path)
+    assert without.reference_command == ""

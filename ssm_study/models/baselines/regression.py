@@ -94,8 +94,7 @@ def _input_factor_product(codes: Codes, v: Float[np.ndarray, "*batch T m"]) -> n
         for code in row[row >= INPUT]:
             channel, lag = divmod(int(code) - INPUT, 1000)
             product[..., :lag, term] = 0.0
-            later = max(v.shape[-2] - lag, 0)  # none where the record is shorter than the lag
-            product[..., lag:, term] *= v[..., :later, channel]
+            product[..., lag:, term] *= v[..., : max(v.shape[-2] - lag, 0), channel]
     return product
 
 
@@ -396,6 +395,5 @@ def _delayed_copies(signal: np.ndarray, first_delay: int, count: int) -> np.ndar
     columns = np.zeros((samples, count))
     for column in range(count):
         lag = first_delay + column
-        later = max(len(signal) - lag, 0)
-        columns[lag:, column] = signal[:later]
+        columns[lag:, column] = signal[: max(len(signal) - lag, 0)]
     return columns
