@@ -153,7 +153,9 @@ def fit_arx_matrices(
     first = 0 if feedthrough else 1
     rows = []
     targets = []
-    for u, y in (record for record in records if len(record[0]) > lags):
+    for u, y in records:
+        if len(u) <= lags:
+            continue
         output_lags = range(1, lags + 1)
         past = [y[lags - i : len(y) - i] for i in output_lags]
         input_lags = range(first, lags + 1)
