@@ -129,7 +129,7 @@ def _render_header(
     texts = sizes | comments | render_neurons(device, prefix)
     texts["pushed"] = _render_disturbance_update(device, prefix)
     texts |= c_monitor.render_monitor(device, monitor, sizes)
-    step_s = repr(controller.step_s)
+    step_s = repr(float(f"{controller.step_s:.12g}"))  # a mean of times ends in rounding
     texts |= {
         "tables": tables,
         "maps": maps,

@@ -25,6 +25,7 @@ from ssm_study.export.c_monitor import MonitorConstants
 from ssm_study.export.device import DeviceController
 from ssm_study.export.onnx import build_onnx_model
 from ssm_study.export.portable import PortableController, convert_controller, convert_floats
+from ssm_study.export.set_point_text import describe_set_points
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.stored import model_from_json
@@ -175,7 +176,7 @@ def _describe_limits(run: Path, design: Design, device: DeviceController) -> tup
     model = load_model(run)
     if not isinstance(model, SSM):
         unproved = "Within the limits nothing is proved: the theorems on them know no neurons."
-        return (unproved, *_describe_set_point_error(device))
+        return (unproved, *describe_set_points(device))
     try:
         proved = prove_within_input_limits(model, design, lower, upper)
     except BadRequest as refusal:
@@ -199,15 +200,7 @@ def _describe_limits(run: Path, design: Design, device: DeviceController) -> tup
         f"Within the limits the full rates hold from rest at outputs from {ends}, "
         "at the set point of rest."
     )
-    return inside, beyond
-
-
-def _describe_set_point_error(device: DeviceController) -> tuple[str, ...]:
-    """Text on the largest error of equilibria that are interpolated between tabulated ones."""
-    if device.set_point_maps is None or not device.set_point_maps.missed:
-        return ()
-    missed = f"missed by at most {device.set_point_maps.missed:.1e}."
-    return (f"Set points lie on lines between stored rest points: {missed}",)
+    return (inside, beyond, *describe_set_points(device))
 
 
 def as_python_control(run: Path) -> Any:

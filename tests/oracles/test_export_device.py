@@ -19,6 +19,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.cli.main import main
 from ssm_study.export.c import escape_comment, render_c_files
 from ssm_study.export.device import DeviceController
+from ssm_study.export.set_point_text import describe_set_points, held_set_points
 from ssm_study.export.targets import load_controller, prove_deployed_rates, render_c_sources
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.trajectory import set_point_equilibria
@@ -135,6 +136,27 @@ def test_the_law_is_the_python_loop(
     assert largest_difference < 1e-7
     assert ((applied == made.lower) | (applied == made.upper)).any()
     assert ((applied > made.lower) & (applied < made.upper)).any()
+
+
+@pytest.mark.parametrize("kind", ["linear", "monotone"])
+def test_the_header_names_the_set_points_that_the_limits_hold(tmp_path: Path, kind: str) -> None:
+    """At its ends an input limit holds the model; of a set point beyond the end is taken."""
+    made = device(tmp_path, kind=kind)
+    c = made.controller
+    held = held_set_points(made)
+    assert held is not None
+    low, high = held
+    assert low < c.scale.output_equilibrium < high
+    for end, beyond in ((low, low - 1.0), (high, high + 1.0)):
+        nearest = made.nearest_equilibrium(np.array([beyond]))
+        output = c.scale.physical_output(nearest["w"])
+        np.testing.assert_allclose(output, end)
+        u = c.scale.physical_input(nearest["v"])
+        assert np.isclose(u, made.lower) or np.isclose(u, made.upper)
+    (sentence,) = describe_set_points(made)
+    assert sentence == (
+        f"The limits hold set points from {low:.6g} to {high:.6g}; of others the nearest is taken."
+    )
 
 
 def test_a_set_point_beyond_the_limits_is_approached_and_nothing_winds_up(tmp_path: Path) -> None:

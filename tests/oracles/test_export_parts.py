@@ -15,12 +15,12 @@ from ssm_study.export.c import KEYWORDS, _count_constants, escape_comment, requi
 from ssm_study.export.device import DeviceController
 from ssm_study.export.equilibrium_curve import PiecewiseLinear, evaluate_equilibrium_map
 from ssm_study.export.portable import convert_floats, multiply_in_order
+from ssm_study.export.set_point_text import describe_interpolation_error
 from ssm_study.export.targets import (
     HALVINGS,
     UNLIMITED,
     _describe_limits,
     _describe_ranges,
-    _describe_set_point_error,
     _provable_rate,
 )
 from ssm_study.refusal import BadRequest
@@ -208,11 +208,11 @@ def device_missing(missed: float | None) -> Any:
 
 
 def test_a_set_point_on_a_line_is_missed_by_what_is_told() -> None:
-    actual = _describe_set_point_error(device_missing(None))
+    actual = describe_interpolation_error(device_missing(None))
     assert actual == ()
-    actual = _describe_set_point_error(device_missing(0.0))
+    actual = describe_interpolation_error(device_missing(0.0))
     assert actual == ()
-    (sentence,) = _describe_set_point_error(device_missing(0.00123))
+    (sentence,) = describe_interpolation_error(device_missing(0.00123))
     assert sentence.endswith("missed by at most 1.2e-03.")
 
 
