@@ -385,7 +385,7 @@ def test_lambda_is_balanced_whatever_stands_on_the_diagonal() -> None:
     assert norm == pytest.approx(expected, rel=1e-6)
 
 
-def testrandom_poles_decay_over_one_to_the_longest_count_of_samples() -> None:
+def test_random_poles_decay_over_one_to_the_longest_count_of_samples() -> None:
     rng = np.random.default_rng(0)
     for _ in range(200):
         poles = np.linalg.eigvals(draw_state_matrix(5, rng))
