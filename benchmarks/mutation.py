@@ -8,7 +8,10 @@ checker. A run that takes more than `LIMIT_CPU_S` of processor time counts as ca
 longer ends). `--folder DIR` holds the copies and a socket: start `mutation_server.py DIR/server`
 first; with `HYPOTHESIS_PROFILE=few` in its environment for a first pass, without for the survivors'
 second (`--again`), so that only the whole test decides that a fault survives. `--cosmic-ray` is the
-tool's folder, `--groups a,b` restricts, `--minutes` stops a group (a second call goes on). Writes
+tool's folder, `--groups a,b` restricts, `--minutes` stops a group (a second call goes on).
+
+`--table DIR` runs in place of the group's tests those of all that execute the planted line,
+cheapest first: `mutation_table.py` makes the table, `mutation_lines.py` reads it. Writes
 `results/reference/mutation/faults.csv`, one row per planted fault, and `survivors.diff`.
 
 The tests that verify a run share one, made before any fault is planted.
@@ -57,32 +60,51 @@ def among(group: Group, modules: list[str]) -> Group:
     return replace(group, modules=chosen if modules else group.modules)
 
 
-def plant(
-    name: str, group: Group, folder: Path, tool: Path, minutes: float, seed: int, share: float
-) -> None:
-    """Go on with the group's session for so many minutes."""
+def plant(name: str, group: Group, setup: argparse.Namespace) -> None:
+    """Go on with the group's session for so many minutes; draw the faults alone for none."""
+    folder = setup.folder
     session = folder / f"{name}.sqlite"
     config = folder / f"{name}.toml"
     tree = folder / name
+    tool = setup.cosmic_ray / "cosmic-ray"
     fresh_copy(tree)
     (folder / "temporary").mkdir(exist_ok=True)  # shared/data is where the records are looked for
-    server = Path(__file__).with_name("mutation_server.py")
-    socket = folder / "server"
-    options = f"-p no:xdist -p no:randomly -o addopts= --basetemp={folder}/temporary/{name} -q -x"
-    command = json.dumps(
-        f"python3 -S {server} {socket} {LIMIT_CPU_S} {tree} {options} {group.tests}"
-    )
+    by_line = setup.table is not None
+    command = json.dumps((lines_command if by_line else group_command)(group, tree, setup))
     modules = json.dumps([f"ssm_study/{module}" for module in group.modules])
     config.write_text(
         f"[cosmic-ray]\nmodule-path = {modules}\ntimeout = {LIMIT_S}.0\nexcluded-modules = []\n"
         f'test-command = {command}\n[cosmic-ray.distributor]\nname = "local"\n'
     )
     if not session.exists():
-        subprocess.run([tool / "cosmic-ray", "baseline", config], cwd=tree, check=True)
-        subprocess.run([tool / "cosmic-ray", "init", config, session], cwd=tree, check=True)
-        sample(session, tree, round(share * group.planted), seed)
-    exec_ = ["timeout", str(int(60 * minutes)), tool / "cosmic-ray", "exec", config, session]
-    subprocess.run(exec_, cwd=tree, check=False)
+        subprocess.run([tool, "baseline", config], cwd=tree, check=True)
+        lister = Path(__file__).with_name("mutation_session.py")
+        python = setup.cosmic_ray / "python"
+        list_ = [python, lister, config, session, FAULTS.pattern]
+        subprocess.run(list_, cwd=tree, check=True)
+        planted = round(setup.share * group.planted) if setup.planted is None else setup.planted
+        sample(session, tree, planted, setup.seed)
+    if setup.minutes:
+        exec_ = ["timeout", str(int(60 * setup.minutes)), tool, "exec", config, session]
+        subprocess.run(exec_, cwd=tree, check=False)
+
+
+def group_command(group: Group, tree: Path, setup: argparse.Namespace) -> str:
+    """Command that runs the group's tests on the tree."""
+    server = Path(__file__).with_name("mutation_server.py")
+    base = setup.folder / "temporary" / tree.name
+    options = f"-p no:xdist -p no:randomly -o addopts= --basetemp={base} -q -x"
+    return (
+        f"python3 -S {server} {setup.folder / 'server'} {LIMIT_CPU_S} {tree} {options}"
+        f" {group.tests}"
+    )
+
+
+def lines_command(_: Group, tree: Path, setup: argparse.Namespace) -> str:
+    """Command that runs the tests that execute the line planted in the tree."""
+    chosen = Path(__file__).with_name("mutation_lines.py")
+    socket = setup.folder / "server"
+    return f"python3 -S {chosen} {socket} {setup.table} {tree} {setup.folder / 'temporary'}"
 
 
 def again(session: Path) -> None:
@@ -203,21 +225,17 @@ def main() -> None:
     )
     parser.add_argument("--name", help="of the two files, in place of faults or fresh")
     parser.add_argument("--share", type=float, default=1.0, help="of each group's faults")
+    parser.add_argument("--planted", type=int, help="faults in each group, in place of a share")
+    parser.add_argument(
+        "--table", type=Path, help="run the tests that execute the line: see mutation_table.py"
+    )
     arguments = parser.parse_args()
     for name in filter(None, arguments.groups.split(",")):
         group = among(GROUPS[name], list(filter(None, arguments.modules.split(","))))
         if arguments.again:
             again(arguments.folder / f"{name}.sqlite")
         if group.modules:
-            plant(
-                name,
-                group,
-                arguments.folder,
-                arguments.cosmic_ray,
-                arguments.minutes,
-                arguments.seed,
-                arguments.share,
-            )
+            plant(name, group, arguments)
     report(arguments.folder, arguments.name or ("faults" if arguments.seed == SEED else "fresh"))
 
 

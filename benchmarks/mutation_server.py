@@ -12,7 +12,9 @@ import resource
 import socket
 import sys
 import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 
 def serve(path: str) -> None:
@@ -43,27 +45,46 @@ def serve(path: str) -> None:
             connection.close()
 
 
-def _test(cpu_s: int, tree: str, arguments: list[str]) -> None:
+class Chosen:
+    """Plugin that runs the chosen tests alone, in their order."""
+
+    def __init__(self, tests: list[str]) -> None:
+        self.place = {test: i for i, test in enumerate(tests)}
+
+    def pytest_collection_modifyitems(self, items: list[Any]) -> Iterator[None]:
+        yield
+        items[:] = [item for item in items if item.nodeid in self.place]
+        items.sort(key=lambda item: self.place[item.nodeid])
+
+
+def _test(cpu_s: int, tree: str, arguments: list[str], tests: list[str]) -> None:
     import pytest
+
+    around = pytest.hookimpl(wrapper=True, tryfirst=True)
+    around(Chosen.pytest_collection_modifyitems)
+    plugins = [Chosen(tests)] if tests else []
 
     resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s))
     os.chdir(tree)
     sys.path.insert(0, tree)
     # Named as a worker, pytest looks for the run that tests share beside its own folder.
     os.environ |= {"OMP_NUM_THREADS": "1", "PYTEST_XDIST_WORKER": "gw0", "PYTHONPATH": tree}
-    silent = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(silent, 1), os.dup2(silent, 2)
-    os._exit(int(pytest.main(arguments)))
+    log = os.open(f"{tree}.log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    os.dup2(log, 1), os.dup2(log, 2)
+    status = int(pytest.main(arguments, plugins))
+    nothing_left = tests and status == pytest.ExitCode.NO_TESTS_COLLECTED
+    os._exit(0 if nothing_left else status)
 
 
-def ask(path: str, cpu_s: int, tree: str, arguments: list[str]) -> int:
+def ask(path: str, cpu_s: int, tree: str, arguments: list[str], tests: Sequence[str] = ()) -> int:
+    """Status of pytest with the arguments; with tests, of these alone."""
     for _ in range(120):  # the server binds when its libraries are imported
         if Path(path).exists():
             break
         time.sleep(1)
     with socket.socket(socket.AF_UNIX) as connection:
         connection.connect(path)
-        connection.sendall(json.dumps([cpu_s, tree, arguments]).encode() + b"\n")
+        connection.sendall(json.dumps([cpu_s, tree, arguments, list(tests)]).encode() + b"\n")
         return int(connection.recv(16).decode() or 1)
 
 
