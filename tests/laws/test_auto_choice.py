@@ -10,6 +10,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from loop_cases import BALLS, INPUT_BALL, motor, motor_model, motor_record
+from recorded import assert_as_recorded
 from structured_cases import model
 
 from ssm_study.bounds.slopes import certified_balls
@@ -391,3 +392,7 @@ def test_with_integral_action_an_impossible_request_says_why():
     assert design.observer.certified  # the easiest request is made of the side that was left open
     solver_status = design.state_feedback.solver_status
     assert solver_status.startswith("nothing on the grid is feasible")
+
+
+def test_the_choice_has_the_recorded_numbers(chosen):
+    assert_as_recorded("auto_choice", chosen, 1e-3)

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from recorded import assert_as_recorded
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "oracles"))
 from test_coverage import BALLS, MODEL, design, premise, records, scaled_model
@@ -226,3 +227,8 @@ def test_covered_gains_are_left_only_for_faster_ones_with_a_proof(proved, takes_
     )
     taken = GainSearch._faster_design(stub, FAST, 1.0, 8)
     assert taken is (faster if takes_faster else FAST)
+
+
+def test_the_improved_gains_are_the_recorded_ones(improved) -> None:
+    sides = [improved.state_feedback, improved.observer]
+    assert_as_recorded("covered_gains", sides, 1e-3)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from recorded import assert_as_recorded
 
 import ssm_study as st
 from ssm_study.api.summaries import summarise_input_limits, summarise_prediction
@@ -263,3 +264,7 @@ def test_limits_of_a_bare_system_are_refused() -> None:
     input_limits = (-1.0, 1.0)
     with pytest.raises(BadRequest, match="nothing is proved within input limits; leave them"):
         st.control(system, rate=0.5, input_limits=input_limits)
+
+
+def test_the_proof_has_the_recorded_numbers(proof: st.Certification) -> None:
+    assert_as_recorded("gain_certificates", [proof, str(proof)], 1e-3)

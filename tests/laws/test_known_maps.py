@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded import assert_as_recorded
 
 import ssm_study as st
 from ssm_study.api.design import Design
@@ -187,3 +188,7 @@ def test_the_print_says_where_the_proof_ends(uncertain: Design) -> None:
     assert "simulated" not in summary
     infeasible = st.control(SYSTEM, slopes=(0.3, 5.0), rate=0.9).summary()
     assert infeasible["loop of both"].startswith("not certified: the controller")
+
+
+def test_the_design_has_the_recorded_numbers(uncertain: Design) -> None:
+    assert_as_recorded("known_maps", [uncertain.certificate, str(uncertain)], 1e-3)

@@ -8,6 +8,7 @@ import control
 import jaxtyping
 import numpy as np
 import pytest
+from recorded import assert_as_recorded
 
 import ssm_study as st
 from ssm_study.api.design import Design
@@ -388,3 +389,7 @@ def test_the_printed_rates_are_the_largest_that_the_gains_prove() -> None:
     largest = rate_text(controller.rate)
     printed = repr(design)
     assert f"rate {largest} (asked 0.05)" in printed
+
+
+def test_the_design_has_the_recorded_numbers(design: Design) -> None:
+    assert_as_recorded("own_matrices", [design.certificate, str(design)], 1e-3)

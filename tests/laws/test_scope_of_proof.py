@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from recorded import assert_as_recorded
 
 import ssm_study as st
 from ssm_study.api.design import Design
@@ -102,3 +103,7 @@ def test_a_rate_other_than_the_requested_one_names_both(design: Design) -> None:
     line_at_the_rate = side_at_the_rate["controller"]
     assert "asked" not in line_at_the_rate
     assert "any gain: below" in line
+
+
+def test_the_design_has_the_recorded_numbers(design: Design) -> None:
+    assert_as_recorded("scope_of_proof", [design.certificate, str(design)], 1e-3)

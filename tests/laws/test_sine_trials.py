@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded import assert_as_recorded
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "oracles"))
 from loop_cases import motor
@@ -334,3 +335,7 @@ def test_without_a_coverage_or_powers_the_sines_change_none(covered: tuple[Desig
     assert sine_coverage_columns(FAST, [harmful], coverage) == null
     facts = sine_coverage_columns(proved, [harmful], coverage)
     assert facts["coverage"] < 1
+
+
+def test_small_sines_have_the_recorded_mismatch() -> None:
+    assert_as_recorded("sine_trials", small_sines(0.0), 1e-3)

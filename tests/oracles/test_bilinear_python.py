@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from recorded import assert_as_recorded
 from test_models_bilinear import known_model, levels
 
 import ssm_study as st
@@ -87,3 +88,8 @@ def test_it_is_no_linear_system(model: st.Model) -> None:
         model.to_control()
     with pytest.raises(BadRequest, match="has products of input and state"):
         model.eigenvalues()
+
+
+def test_model_and_design_are_printed_as_recorded(model: st.Model, design: st.RestDesign) -> None:
+    numbers = [design.certificates, repr(model), repr(design)]
+    assert_as_recorded("bilinear_python", numbers, 1e-2)

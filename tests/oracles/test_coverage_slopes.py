@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from recorded import assert_as_recorded
 from structured_cases import drawn
 
 from ssm_study.certificates.theorem import VerificationContext
@@ -162,3 +163,9 @@ def test_without_slopes_at_its_start_the_guided_search_finds_nothing(
     monkeypatch.setattr("ssm_study.synthesis.slope_search.sample_coverage", lambda *_: None)
     assert search.search_from(start) is None
     assert simulated == []
+
+
+def test_a_sample_has_the_recorded_numbers(loop, coordinates) -> None:
+    position = np.zeros(coordinates.entry_count)
+    sample = sample_at(loop, coordinates, position)
+    assert_as_recorded("coverage_slopes", sample, 1e-3)

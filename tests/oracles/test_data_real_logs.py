@@ -1,10 +1,12 @@
 """Logs of other people as they lie in their repositories: read without conversion, and what `look`
 says of them is what is known of the machines."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded import assert_as_recorded
 
 from ssm_study.data.look import LogOverview, look
 from ssm_study.data.recorded import RecordedData
@@ -103,3 +105,9 @@ def test_input_and_output_are_guessed(name: str, looks: dict[str, LogOverview]) 
 def test_the_rudder_is_guessed_among_nameless_columns() -> None:
     log_look = look(FOLDER / "tanker_zigzag_10.dat")
     assert log_look.input == "9"
+
+
+def test_the_looks_are_the_recorded_ones(looks: dict[str, LogOverview]) -> None:
+    lines = {name: str(overview).splitlines() for name, overview in looks.items()}
+    text = json.dumps(lines).replace(str(FOLDER), "FOLDER")
+    assert_as_recorded("real_logs", json.loads(text), 1e-3)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.signal
+from recorded import assert_as_recorded
 
 from ssm_study.data.look import look
 from ssm_study.data.recorded import RecordedData
@@ -231,6 +232,15 @@ def test_the_right_step_and_numbers(tmp_path: Path, kind: str) -> None:
     assert len(piece) == ROWS
     assert_same_but_for_scale(piece.u[:, 0], U)
     assert_same_but_for_scale(piece.y[:, 0], Y)
+
+
+def test_the_looks_are_the_recorded_ones(tmp_path: Path) -> None:
+    overviews = {}
+    for kind, (content, _) in READ.items():
+        path = write_log(tmp_path, content)
+        text = str(look(path, input="u", output="y"))
+        overviews[kind] = text.replace(str(tmp_path), "FOLDER").splitlines()[1:]
+    assert_as_recorded("strange_files", overviews, 1e-4)
 
 
 def test_a_switch_is_one_or_zero(tmp_path: Path) -> None:

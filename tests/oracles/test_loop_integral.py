@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from loop_cases import BALLS, INPUT_BALL, motor, motor_model, motor_record, random_model
+from recorded import assert_as_recorded
 from synthesis_ratio import ratio_limit
 
 from ssm_study.bounds.frequency import largest_gains
@@ -286,3 +287,7 @@ def test_the_weight_is_the_cost_of_the_integrators_beside_the_output():
     ]
     assert gains_on_z == sorted(gains_on_z)
     assert weights == tuple(sorted(weights))
+
+
+def test_the_design_has_the_recorded_numbers(design: Design) -> None:
+    assert_as_recorded("loop_integral", design, 1e-3)

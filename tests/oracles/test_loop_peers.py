@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 from loop_cases import BALLS, motor, motor_design, motor_model, motor_record, random_model
+from recorded import assert_as_recorded
 from structured_cases import model as with_neurons
 
 from ssm_study.loop.comparison import SITUATIONS, ControllerComparison
@@ -160,6 +161,7 @@ def test_the_design_grid_reports_each_designs_own_margin(monkeypatch):
     monkeypatch.setattr("ssm_study.loop.design_grid.Auto", lambda: SMALL)
     design_grid = RandomDesignTable(designs=6, auto=SMALL)
     rows = design_grid.rows(motor(), KNOWN, SHORT, seed=0)
+    assert_as_recorded("design_grid", rows, 1e-3)
     assert len(rows) == 7
     initial_conditions = {row["initial_conditions"] for row in rows}
     assert initial_conditions == {3}
@@ -194,6 +196,7 @@ def test_every_controller_has_a_row_in_every_situation():
         controllers=names, situations=SITUATIONS, spread_fields=("resistance_ohm",), spread_plants=2
     )
     rows = table.rows(motor(), KNOWN, SHORT, seed=0)
+    assert_as_recorded("peers", rows, 1e-3)
     expected = [(n, s) for s in SITUATIONS for n in names]
     cases = [(r["controller"], r["situation"]) for r in rows]
     assert cases == expected

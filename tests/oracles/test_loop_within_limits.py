@@ -7,6 +7,7 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
+from recorded import assert_as_recorded
 
 import ssm_study as st
 from ssm_study.certificates.certificate import Design
@@ -275,3 +276,7 @@ def test_the_header_says_both(tmp_path: Path, smoke_run: Path) -> None:
     )
     within_limits = design.within_limits([-1e3], [1e3])
     assert isinstance(within_limits, RangeWithinLimits)
+
+
+def test_the_design_has_the_recorded_numbers(pair: tuple[SSM, Design]) -> None:
+    assert_as_recorded("loop_within_limits", pair[1], 1e-3)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded import assert_as_recorded
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "laws"))
 from models_cases import data_set
@@ -135,3 +136,9 @@ def test_python_predicts_with_the_mean_and_says_so(folder: Path, data: DataSet) 
 def test_members_is_a_positive_number() -> None:
     with pytest.raises(BadRequest, match=r"model.members = 0"):
         StructuredSpec(members=0, **SMALL)  # type: ignore[arg-type]
+
+
+def test_members_and_scores_are_the_recorded_ones(folder: Path, data: DataSet) -> None:
+    trained = read_trained_model(folder)
+    columns = training_result_columns(trained, data)
+    assert_as_recorded("members", [trained.model, columns], 1e-3)

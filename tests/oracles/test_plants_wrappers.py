@@ -124,7 +124,17 @@ def repeat_never(_: Plant) -> object:
     return PeriodicDisturbance(amplitude=1.0, frequency_hz=0.0)
 
 
+def begin_before_zero(_: Plant) -> object:
+    return RampDisturbance(slope_per_s=1.0, from_s=-0.5, until_s=1.0)
+
+
+def end_as_it_begins(_: Plant) -> object:
+    return RampDisturbance(slope_per_s=1.0, from_s=1.0, until_s=1.0)
+
+
 REFUSED_WRAPPERS = [
+    (begin_before_zero, "not in order"),
+    (end_as_it_begins, "not in order"),
     (reach_only_beyond_rest, "do not enclose rest"),
     (limit_two_inputs, "the plant has 1 inputs"),
     (delay_by_nothing, "samples = 0"),

@@ -9,6 +9,7 @@ from itertools import product
 import cvxpy as cp
 import numpy as np
 import pytest
+from recorded import assert_as_recorded
 from structured_cases import drawn, model
 
 from ssm_study.bounds.frequency import hinf_norm
@@ -260,3 +261,11 @@ def test_a_loop_that_some_slope_loses_by_itself_gets_none() -> None:
     balls = JacobianBalls(input=unit, output=unit)
     known = VerificationContext(system=system, controlled=system, balls=balls, gains=gains)
     assert certify_largest_radius(known) is None
+
+
+def test_the_design_has_the_recorded_numbers(
+    stored: tuple[dict, object], request: pytest.FixtureRequest
+) -> None:
+    kind = request.node.callspec.params["stored"]
+    sides = [stored[0]["state_feedback"], stored[0]["observer"]]
+    assert_as_recorded(f"tolerated_gain_{kind}", sides, 1e-3)
