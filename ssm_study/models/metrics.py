@@ -102,7 +102,7 @@ COLUMNS = (
     ),
     Column("baseline", "string", word="Best baseline", unchecked=A_COMPARISON),
     Column("score_test_*", "Float64", "low", word="Benchmark score"),
-    Column("score_members_*", "Float64", "low", word="Benchmark score of the mean of the models"),
+    Column("score_members_*", "Float64", "low", word="Benchmark score of the mean"),
 )
 
 

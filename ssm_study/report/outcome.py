@@ -146,7 +146,7 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     yield "fit_baseline_percent", "Best baseline", baseline_text(record)
     yield "model_choice", "Chosen by the log", format_column(record, "model_choice")
     yield from score_rows(record, "score_test_", "Score, record")
-    yield from score_rows(record, "score_members_", "Score of the mean, record")
+    yield from score_rows(record, "score_members_", "Mean's score, record")
     names = f"{record.get('disturbances')}, at equilibrium in the loop, not compensated"
     yield "disturbances", "Measured disturbances", names
     lower = format_column(record, "input_slope_lower")

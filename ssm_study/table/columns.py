@@ -52,10 +52,15 @@ def find_declaration(name: str) -> Column | None:
 def column_label(name: str) -> str:
     """Printed name of a table column with its unit.
 
-    For instance `Mean settling time (s)` for `settling_time_mean_s`.
+    For instance `Mean settling time (s)` for `settling_time_mean_s`, and `Benchmark score 2` for
+    `score_test_2`.
     """
     if name in BY_NAME:
         return BY_NAME[name].label
+    column = find_declaration(name)
+    if column is not None and column.word and not column.setting:
+        prefix = column.name.removesuffix("*")
+        return f"{column.label} {name.removeprefix(prefix)}"
     return setting_path(name) or name.replace("_", " ")
 
 

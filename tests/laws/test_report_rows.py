@@ -149,7 +149,7 @@ def test_the_open_loop_is_stated_without_neurons_alone() -> None:
     assert actual == expected
     assert rows["Score, record 2"] == "1.235 ticks/s"
     rows = labelled(model_rows(scores | {"members": 5, "score_members_1": 1.5}))
-    assert rows["Score of the mean, record 1"] == "1.5 ticks/s"
+    assert rows["Mean's score, record 1"] == "1.5 ticks/s"
     without_unit = labelled(model_rows({"score_test_1": 2.0, "benchmark": "other"}))
     assert without_unit["Score, record 1"] == "2"
 

@@ -106,6 +106,7 @@ def test_names_are_declared_once_and_patterns_cover_no_other_column() -> None:
     actual = column_label("settling_time_mean_s")
     assert actual == "Mean settling time (s)"
     assert column_label("nothing_such") == "nothing such"
+    assert column_label("score_test_2") == "Benchmark score 2"
 
 
 @pytest.mark.parametrize("folder", COMMITTED, ids=lambda path: path.name)
