@@ -20,6 +20,8 @@ from ssm_study.certificates.problem import NoSolution
 
 STEPS = 60
 SHARE = 0.95  # of the way to the boundary
+FIRST_SIZE = 3e3  # of the first matrices: from smaller ones many short steps are taken
+FIRST_PRODUCT = 300.0
 LEAST_CENTRING = 1e-6
 DUAL_ACCURACY = 1e-3  # of the dual equations: rounding leaves up to 1e-4 at an optimum of 7 digits
 DIVERGED = 1e20  # sum of products beyond which the constraints contradict each other
@@ -164,22 +166,22 @@ class _PathFollowing:
 
     def initial_point(self) -> CentralPoint:
         """First point of the central path: unknowns at zero, far inside all constraints. Each
-        product of primal and dual variables is one."""
+        product of primal and dual variables is `FIRST_PRODUCT`."""
         program = self.program
         x = np.zeros(len(program.goal))
         largest_entry = float(np.abs(program.constant).max())
         smallest_eigenvalue = float(np.linalg.eigvalsh(program.constant).min())
-        largest = max(1.0, largest_entry, -2 * smallest_eigenvalue)
+        largest = FIRST_SIZE * max(1.0, largest_entry, -2 * smallest_eigenvalue)
         identity = np.eye(program.constant.shape[-1])
         matrices = program.constant + largest * identity
-        slacks = np.maximum(-program.bounds, 1.0)
+        slacks = np.maximum(-program.bounds, FIRST_SIZE)
         factor = _inverse_factor(matrices)
         return CentralPoint(
             x=x,
             matrices=matrices,
             slacks=slacks,
-            dual_matrices=_adjoint(factor) @ factor,
-            dual_slacks=1 / slacks,
+            dual_matrices=FIRST_PRODUCT * _adjoint(factor) @ factor,
+            dual_slacks=FIRST_PRODUCT / slacks,
         )
 
     def solve(self, accuracy: float) -> tuple[Vector, Matrices]:

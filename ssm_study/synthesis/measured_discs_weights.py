@@ -40,6 +40,7 @@ NEAR_ZERO = 1e-2  # share of its mean over the circle below which a squared gain
 CEPSTRUM = 2**15  # points of the circle for a spectral factor
 LARGEST = 1e6  # of nu = kappa^2 at given weights: beyond it, nothing that e does matters
 ENOUGH = 100.0  # of nu at free weights: ten times the recorded error, and no more is looked for
+MULTIPLIER_COST = 1e-6  # of each: else some grow without bound where nothing needs them
 JOINT = 3e-5  # by how much angles of the joint program may miss: far less than kappa is taken back
 COARSE = 1e-3  # likewise, where many gains with neurons are compared
 DECIDING = 6  # angles that decide one program and are solved first in the next
@@ -219,7 +220,8 @@ class WeightProgram:
         scaled = scale_unknowns(linear, scale)
         with_nu = np.concatenate([of_nu, scaled])
         program = FrequencyProgram(constant=constant, linear=with_nu, rows=rows, bounds=bounds)
-        goal = np.zeros(1 + count)
+        goal = np.full(1 + count, -MULTIPLIER_COST)
+        goal[: 1 + self.coefficient_count] = 0.0
         goal[0] = 1.0
         differences = self.grid.angles - start_angles[:, None]
         distances = np.abs(differences)
@@ -301,7 +303,9 @@ class WeightProgram:
         program = FrequencyProgram(
             constant=constant, linear=with_widenings, rows=rows, bounds=bounds
         )
-        goal = np.concatenate([np.zeros(count), np.ones(bands)])
+        goal = np.full(count + bands, -MULTIPLIER_COST)
+        goal[: self.coefficient_count] = 0.0
+        goal[count:] = 1.0
         x, _ = program.maximise(goal, self.tolerance)
         scaled_unknowns = x[:count]
         return np.asarray(scaled_unknowns / scale)

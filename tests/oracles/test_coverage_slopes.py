@@ -1,6 +1,7 @@
 """Slopes of coverage: those of finite differences, what the latest ones predict, and a search that
 they guide to covered gains of a model with neurons."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,6 +19,7 @@ from ssm_study.synthesis.coverage_slopes import (
 )
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_choice import LoopCoverage
+from ssm_study.synthesis.measured_discs_program import ConeProgram
 from ssm_study.synthesis.slope_search import ScoredGains, SlopeSearch
 from ssm_study.systems import JacobianBall, JacobianBalls
 
@@ -169,3 +171,21 @@ def test_a_sample_has_the_recorded_numbers(loop, coordinates) -> None:
     position = np.zeros(coordinates.entry_count)
     sample = sample_at(loop, coordinates, position)
     assert_as_recorded("coverage_slopes", sample, 1e-3)
+
+
+def test_a_loop_that_tolerates_almost_everything_is_solved_without_clarabel(
+    loop, coordinates, monkeypatch
+) -> None:
+    """Ten times the recorded error is all that is looked for, with multipliers as small as can
+    be."""
+
+    def refuse(*_):
+        raise AssertionError("the interior-point method has not converged")
+
+    monkeypatch.setattr(ConeProgram, "minimise", refuse)
+    items = tuple(requirement(angle, 1e-3) for angle in (0.1, 1.0, 3.0))
+    quiet = replace(loop, items={CENTRE: items}, deciding={})
+    matrices = coordinates.first.matrices_by_symbol
+    optimum = quiet.radius_optimum_at_centre(matrices, CENTRE)
+    assert optimum.radius == pytest.approx(10.0, rel=1e-4)
+    assert np.abs(optimum.unknowns).max() < 1e4
