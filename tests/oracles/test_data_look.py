@@ -18,6 +18,7 @@ from ssm_study.data.log_dynamics import (
     explained_output_variance,
     feedback_error_reduction,
     first_response_lag,
+    noise_deviation,
     response_delay_sentence,
 )
 from ssm_study.data.look import look
@@ -52,6 +53,10 @@ def test_what_is_true_is_said_and_what_is_false_is_not(
     assert unsaid not in text
     assert f"step {kind_named(name).step_s:g} s" in text
     assert text.endswith(log_look.command)
+
+
+def test_two_samples_show_no_noise() -> None:
+    assert noise_deviation(np.array([0.0, 1.0])) == 0.0
 
 
 def test_a_closed_loop_is_called_one(tmp_path: Path) -> None:

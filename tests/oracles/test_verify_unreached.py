@@ -8,7 +8,11 @@ import pytest
 
 from ssm_study.bounds.network import Network
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
-from ssm_study.study.unreached_numbers import cancelled_biases, unreached_range_texts
+from ssm_study.study.unreached_numbers import (
+    cancelled_biases,
+    leaky_rectifier,
+    unreached_range_texts,
+)
 
 ROW_OF_BREAKPOINTS = [-2.0, -1.5, -0.6, 0.4, 0.7, 1.3, 2.2]
 BREAKPOINTS = np.array([ROW_OF_BREAKPOINTS])
@@ -87,3 +91,12 @@ def test_a_bias_is_listed_exactly_if_no_signal_changes_with_it() -> None:
         "model.json scaffold_out.biases.1: 0, 3, 6",
     ]
     assert list(only_linear) == expected
+
+
+def test_a_neuron_has_one_slope_below_zero_and_one_above() -> None:
+    z = np.linspace(-2.0, 2.0, 9)[:, None]
+    negative = np.array([0.3])
+    positive = np.array([1.5])
+    expected = negative * np.minimum(z, 0.0) + positive * np.maximum(z, 0.0)
+    actual = leaky_rectifier(z, negative, positive)
+    np.testing.assert_allclose(actual, expected, rtol=1e-15)

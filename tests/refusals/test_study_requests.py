@@ -16,6 +16,7 @@ from ssm_study.cli.main import main
 from ssm_study.engine.settings import plain_settings
 from ssm_study.refusal import BadRequest
 from ssm_study.study.line import STUDY
+from ssm_study.study.specification import _read_refine_setting
 
 RECORDED = ("experiment=paper", "data=recorded", "data.input=u", "data.output=y")
 
@@ -320,3 +321,35 @@ def test_a_name_or_a_folder_that_cannot_be_says_what_to_do(
     assert refusal.endswith(
         "export the columns as Parquet or CSV.\n"
     )  # look does not read it either
+
+
+REFUSED_TRIALS = [
+    (["nowhere.csv"], "no such file"),
+    ([], "there is no plant"),
+    (2, "there is no plant"),
+]
+
+
+@pytest.mark.parametrize(("requested", "says"), REFUSED_TRIALS)
+def test_beside_a_log_only_files_of_trials_refine(requested: object, says: str) -> None:
+    with pytest.raises(BadRequest, match=says):
+        _read_refine_setting(requested, is_recorded=True)
+
+
+REFUSED_COUNTS = [0, -1, 1.5, True, "trial.csv"]
+
+
+@pytest.mark.parametrize("requested", REFUSED_COUNTS)
+def test_beside_a_plant_only_a_number_of_iterations_refines(requested: object) -> None:
+    with pytest.raises(BadRequest, match="is no number of iterations"):
+        _read_refine_setting(requested, is_recorded=False)
+
+
+def test_a_refinement_that_can_run_is_taken(tmp_path: Path) -> None:
+    trial = tmp_path / "trial.csv"
+    trial.touch()
+    logs = [str(trial)]
+    assert _read_refine_setting(str(trial), is_recorded=True) == logs
+    assert _read_refine_setting(logs, is_recorded=True) == logs
+    assert _read_refine_setting(3, is_recorded=False) == 3
+    assert _read_refine_setting(None, is_recorded=True) is None
