@@ -1,4 +1,4 @@
-"""What is said of drawn records, of every combination of outcomes, is what was recorded."""
+"""Texts on drawn records, of every combination of outcomes, are the recorded ones."""
 
 import io
 import json
@@ -45,7 +45,7 @@ def drawn_record(seed: int) -> dict[str, Any]:
 
 
 def result_or_error(function: Callable[[], Any]) -> Any:
-    """What a function returns, or the name of what it raises: no study has every combination."""
+    """Result of a function, or the name of its error: no study has every combination."""
     try:
         return function()
     except Exception as error:
