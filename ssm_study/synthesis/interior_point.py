@@ -23,7 +23,7 @@ SHARE = 0.95  # of the way to the boundary
 FIRST_SIZE = 3e3  # of the first matrices: from smaller ones many short steps are taken
 FIRST_PRODUCT = 300.0
 LEAST_CENTRING = 1e-6
-DUAL_ACCURACY = 1e-3  # of the dual equations: rounding leaves up to 1e-4 at an optimum of 7 digits
+DUAL_ACCURACY = 1e-3  # of the dual equations' terms: rounding leaves up to 1e-4 at an optimum
 DIVERGED = 1e20  # sum of products beyond which the constraints contradict each other
 REGULAR = 1e-13  # added to the scaled Newton matrix
 
@@ -217,6 +217,7 @@ class _NewtonStep:
     matrix_residual: Matrices
     slack_residual: Rows
     dual_residual: Vector
+    dual_size: float
     newton_matrix: Float[np.ndarray, "n n"]
     newton_inverse: Float[np.ndarray, "n n"]
 
@@ -247,6 +248,7 @@ class _NewtonStep:
             matrix_residual=program.constant + path.matrices_at(point.x) - point.matrices,
             slack_residual=program.rows @ point.x - program.bounds - point.slacks,
             dual_residual=-(program.goal + of_maps + of_rows),
+            dual_size=1 + float(np.abs(of_maps).max()),
             newton_matrix=newton,
             newton_inverse=np.linalg.inv(newton * scale + REGULAR * np.eye(n)) * scale,
         )
@@ -256,7 +258,7 @@ class _NewtonStep:
         roughly."""
         of_rows = self.slack_residual / (1 + np.abs(self.path.program.bounds))
         largest = max(np.abs(self.matrix_residual).max(), np.abs(of_rows).max(initial=0.0))
-        dual = np.abs(self.dual_residual).max()
+        dual = np.abs(self.dual_residual).max() / self.dual_size
         return bool(largest < accuracy and dual < max(accuracy, DUAL_ACCURACY))
 
     def direction(self, centre: float, predictor: CentralPoint | None = None) -> CentralPoint:
