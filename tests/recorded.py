@@ -36,6 +36,11 @@ def assert_as_recorded(name: str, result: object, relative: float = RELATIVE) ->
     assert not changes, f"RECORD=1 if this is meant: {changes[:5]}"
 
 
+def is_recorded(name: str) -> bool:
+    """Whether a result of that name is recorded; a part that somebody adds may have none."""
+    return (FOLDER / f"{name}.json").exists() or "RECORD" in os.environ
+
+
 def plain_value(value: Any) -> Any:
     """Values of JSON; long rows of numbers are reduced to a few sums."""
     if is_dataclass(value) and not isinstance(value, type):

@@ -130,7 +130,7 @@ def stages_among(names: list[str]) -> list[str]:
 
 
 DOCSTRING = (r'\A"""', '"""Edited. ')
-NEW_CODE = (r"^from pathlib import Path$", "from pathlib import Path\nEDITED = 1\nprint(EDITED)")
+NEW_CODE = (r"^(from typing import .*)$", r"\1\nEDITED = 1\nprint(EDITED)")
 EDITED_END = (r"\Z", "\nEDITED = 1\nprint(EDITED)\n")
 COMMENT = (r"^import numpy as np$", "# why\nimport numpy as np\n")
 OTHER_BASES = (r"^class CascadedTanks\(", "class CascadedTanks(object, ")
