@@ -1,7 +1,7 @@
 """Signals, scaling and data sets. The signals everyone shares: channels, trajectories, data
 sets, and the two numbers that score a simulation."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -283,10 +283,7 @@ class DataSet:
         """Data set in which the measured disturbances count as further inputs."""
         if not self.disturbances:
             return self
-        records: dict[str, Trajectories] = {}
-        for part in ("training", "validation", "test", "mismatch_records"):
-            one_input = (record.with_disturbances_as_inputs() for record in getattr(self, part))
-            records[part] = tuple(one_input)
+        records = self._map_records(Trajectory.with_disturbances_as_inputs)
         return replace(
             self,
             **records,  # type: ignore[arg-type]  # fields of one type
@@ -295,13 +292,15 @@ class DataSet:
             scale=self.scale.with_disturbances_as_inputs(),
         )
 
+    def _map_records(self, change: Callable[[Trajectory], Trajectory]) -> dict[str, Trajectories]:
+        """Changed copies of the records of each part, by the name of the part."""
+        parts = ("training", "validation", "test", "mismatch_records")
+        return {part: tuple(map(change, getattr(self, part))) for part in parts}
+
     def with_one_output(self, number: int) -> "DataSet":
         """Data set of all inputs and one output, whose number counts from zero."""
         chosen = slice(number, number + 1)
-        records: dict[str, Trajectories] = {}
-        for part in ("training", "validation", "test", "mismatch_records"):
-            of_output = (replace(record, y=record.y[:, chosen]) for record in getattr(self, part))
-            records[part] = tuple(of_output)
+        records = self._map_records(lambda record: replace(record, y=record.y[:, chosen]))
         output_scale = self.scale.output_scale[chosen]
         equilibrium = self.scale.output_equilibrium[chosen]
         scale = replace(self.scale, output_scale=output_scale, output_equilibrium=equilibrium)

@@ -58,8 +58,8 @@ class GainSearch:
 
     `largest_area` is the slowest response allowed, in areas of the open loop on the model; `margin`
     the stability margin that the prediction must exceed. For a model with neurons, where one
-    coverage takes half a second, the slopes of coverage guide the search (`slope_search`), if the
-    solver gives them.
+    coverage takes tenths of a second, the slopes of coverage guide the search (`slope_search`), if
+    the solver gives them.
     """
 
     model: Model
@@ -159,9 +159,9 @@ class GainSearch:
                 evaluations=rounds * EVALUATED,
                 random=random,
             )
-            found = guided.search_from(best)
-            if found is not None:
-                return found
+            best_by_slopes = guided.search_from(best)
+            if best_by_slopes is not None:
+                return best_by_slopes
         step = FIRST_STEP
         reached = [best.coverage]
         while is_worth_another_round(reached, aimed_coverage, rounds):

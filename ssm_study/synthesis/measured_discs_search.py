@@ -43,7 +43,7 @@ Unknowns = Float[np.ndarray, "n"]
 
 CENTRES = (-0.25, 0.0)  # of discs, tried in turn; farther ones hold `e = 0` only when they are wide
 INSIDE = (0.985, 0.96, 0.9, 0.8)  # shares of the largest kappa, in order of trial
-SMALL_COST = 1e-10  # of each multiplier at given weights: none grows without bound
+COST_AT_GIVEN_WEIGHTS = 1e-10  # of each multiplier; small, so that kappa keeps seven digits
 REFINED = 100  # relative change of nu, over the accuracy, by which a finer grid ends the refinement
 ROUGH = 1e-6  # accuracy that is enough for a certificate inside the optimum
 CLOSE = (0.999, 0.997, 0.99, 0.97, 0.9)  # likewise, where no weights have to be found
@@ -135,7 +135,7 @@ def _largest_squared_radius(
     for _ in range(3):  # finer around the angles that decide
         before = nu
         program, scale = _program_at_fixed_weights(grid, weights, centre)
-        goal = np.full(program.linear.shape[0], -SMALL_COST)
+        goal = np.full(program.linear.shape[0], -COST_AT_GIVEN_WEIGHTS)
         goal[0] = 1.0
         x, chosen = program.maximise(goal, accuracy, first_angles=chosen)
         nu = float(x[0] / scale[0])

@@ -39,8 +39,8 @@ ROOM = 0.02  # the model lies inside the disc by this share
 NEAR_ZERO = 1e-2  # share of its mean over the circle below which a squared gain never falls
 CEPSTRUM = 2**15  # points of the circle for a spectral factor
 LARGEST = 1e6  # of nu = kappa^2 at given weights: beyond it, nothing that e does matters
-ENOUGH = 100.0  # of nu at free weights: ten times the recorded error, and no more is looked for
-MULTIPLIER_COST = 1e-6  # of each: else some grow without bound where nothing needs them
+LARGEST_AT_FREE_WEIGHTS = 100.0  # of nu: no more than ten times the recorded error is looked for
+MULTIPLIER_COST = 1e-6  # of each multiplier: without one, idle multipliers grow without bound
 JOINT = 3e-5  # by how much angles of the joint program may miss: far less than kappa is taken back
 COARSE = 1e-3  # likewise, where many gains with neurons are compared
 DECIDING = 6  # angles that decide one program and are solved first in the next
@@ -253,7 +253,7 @@ class WeightProgram:
         multipliers, with their bounds.
 
         Each item needs nu at most; the weights stay clear of zero; a multiplier is at least zero
-        and at most `MOST`; nu is at most `ENOUGH`.
+        and at most `MOST`; nu is at most `LARGEST_AT_FREE_WEIGHTS`.
         """
         weights = self.coefficient_count
         multipliers = len(scale) - weights
@@ -274,7 +274,7 @@ class WeightProgram:
         rows = np.concatenate([top, at_least_zero, at_most, nu_at_most])
         zeros = np.zeros(multipliers)
         most = np.full(multipliers, -MOST)
-        largest_nu = np.array([-ENOUGH])
+        largest_nu = np.array([-LARGEST_AT_FREE_WEIGHTS])
         no_bound = np.zeros(requirements)
         bounds = np.concatenate([no_bound, least_xy, zeros, most, largest_nu])
         return rows, bounds
